@@ -1,0 +1,2 @@
+//! Drivers over embedded-hal-async traits.
+#![no_std]

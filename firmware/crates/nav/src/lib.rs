@@ -1,0 +1,4 @@
+//! The mathematics of a rotary IMU: synchronous, without heap, logging or clock.
+#![no_std]
+
+pub mod rotor;
