@@ -91,12 +91,14 @@
 #![no_std]
 
 mod attitude;
+mod integral;
 pub mod math;
 mod rot;
 pub mod units;
 mod vec3;
 
 pub use attitude::{Attitude, AttitudeSd};
+pub use integral::{RotIntegral, VecSum};
 pub use math::Real;
 pub use rot::Rot;
 pub use vec3::Vec3;
