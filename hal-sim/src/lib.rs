@@ -1,2 +1,5 @@
 //! x
 #![allow(missing_docs, reason = "skeleton")]
+
+pub mod scenario;
+pub mod unit;

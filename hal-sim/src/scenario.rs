@@ -1,0 +1,517 @@
+//! Scenarios: what moves, how, and how badly it is measured. TOML in, checked figures out.
+//!
+//! A scenario without a key is a perfect rotary unit at rest at 40° north; every key adds something. Every number has
+//! a range, an unknown key is an error, and errors name file, line and key.
+//!
+//! The files built in are in `hal-sim/scenarios/`. They are the documentation by example.
+
+pub(crate) mod table;
+
+use std::path::Path;
+
+use frames::units::DEG;
+use nav::rotor::{RotorConfig, Schedule};
+use serde::{Deserialize, Serialize};
+
+pub use table::{Angle, ConfigError, ConfigProblem, Table, Violation};
+
+use crate::unit::Unit;
+use table::table;
+
+table! {
+    /// `[place]`: where the unit stands.
+    pub struct Place {
+        numbers {
+            /// Geodetic latitude, degrees, north positive.
+            latitude_deg: f64 = 40.0, [-85.0, 85.0];
+            /// Height above the WGS-84 ellipsoid, m.
+            height_m: f64 = 0.0, [-12000.0, 30000.0];
+        }
+        tables {}
+    }
+}
+
+table! {
+    /// `[run]`: how long and how fast.
+    pub struct Run {
+        numbers {
+            /// Length of the run, s.
+            duration_s: f64 = 300.0, [0.1, 360000.0];
+            /// Samples a second.
+            rate_hz: f64 = 100.0, [10.0, 10000.0];
+        }
+        tables {}
+    }
+}
+
+table! {
+    /// One angle of the swing: `centre + amplitude · sin(2π t/period + phase)` (\[Xing18\] §5.1).
+    pub struct Axis {
+        numbers {
+            /// Amplitude, degrees. Zero: the angle rests at its centre.
+            amplitude_deg: f64 = 0.0, [0.0, 90.0];
+            /// Period, s.
+            period_s: f64 = 10.0, [0.5, 3600.0];
+            /// Centre, degrees. Of heading: clockwise from true north, or `"random"`: anywhere on the circle, from the
+            /// seed. The papers count yaw counter-clockwise, so that their centre of 30° is 330 here.
+            centre_deg: Angle = Angle::Degrees(0.0), [-360.0, 360.0];
+            /// Phase at t = 0, degrees. Absent: uniform, from the seed.
+            phase_deg: Option<f64> = None, [-360.0, 360.0];
+        }
+        tables {}
+    }
+}
+
+table! {
+    /// `[swing.*]`: the attitude of the housing, `C_b^n = Rz(−heading) Rx(pitch) Ry(roll)`.
+    pub struct Swing {
+        numbers {}
+        tables {
+            /// Pitch: front up is positive.
+            pitch: Axis;
+            /// Roll: right side down is positive.
+            roll: Axis;
+            /// Heading: clockwise from true north.
+            heading: Axis;
+        }
+    }
+}
+
+table! {
+    /// One component of the sway: `amplitude · sin(2π t/period + phase)`.
+    pub struct SwayAxis {
+        numbers {
+            /// Amplitude, m.
+            amplitude_m: f64 = 0.0, [0.0, 100.0];
+            /// Period, s.
+            period_s: f64 = 10.0, [0.5, 3600.0];
+            /// Phase at t = 0, degrees. Absent: uniform, from the seed.
+            phase_deg: Option<f64> = None, [-360.0, 360.0];
+        }
+        tables {}
+    }
+}
+
+table! {
+    /// `[sway.*]`: the motion of the housing's reference point in n. Mean position and velocity are zero.
+    pub struct Sway {
+        numbers {}
+        tables {
+            /// To the east.
+            east: SwayAxis;
+            /// To the north.
+            north: SwayAxis;
+            /// Upwards (heave).
+            up: SwayAxis;
+        }
+    }
+}
+
+table! {
+    /// `[rotor]`: reciprocating rotation about z; profile of [`nav::rotor`].
+    pub struct Rotor {
+        numbers {
+            /// Rate in the legs, °/s. Zero: the rotor stands still.
+            rate_dps: f64 = 20.0, [0.0, 360.0];
+            /// From one turning point to the other, degrees.
+            travel_deg: f64 = 360.0, [0.0, 3600.0];
+            /// At the turning points, °/s².
+            acceleration_dps2: f64 = 200.0, [0.0, 100000.0];
+            /// Speed ripple as a fraction of the rate, fixed to the rotor's position:
+            /// `α = s + (ripple_fraction/k) sin(k s)` with s the ideal angle.
+            ripple_fraction: f64 = 0.0, [0.0, 0.5];
+            /// Ripples per turn (k); for a motor its pole pairs, or a multiple of them.
+            ripple_harmonic: u32 = 7, [1.0, 64.0];
+            /// Where the rotor's axis points against z of the housing, arc minutes: small rotation about [x, y]. The
+            /// IMU at α = 0 lies as the housing does, so that the axis is off its z by as much.
+            axis_tilt_arcmin: [f64; 2] = [0.0; 2], [-600.0, 600.0];
+        }
+        tables {}
+    }
+}
+
+table! {
+    /// `[errors]`: errors of the IMU beyond its noise and bias figures, which are in `[imu]`.
+    ///
+    /// Gyros measure `(I + M) ω + G f + b`; M has a scale factor on its diagonal and misalignments off it, each drawn
+    /// with the 1σ stated. Accelerometers measure `(I + M) f + b`.
+    pub struct Errors {
+        numbers {
+            /// Scale factor of the gyros, 1σ, ppm.
+            gyro_scale_factor_ppm: f64 = 0.0, [0.0, 100000.0];
+            /// Misalignment of the gyros, each off-diagonal term, 1σ, arc minutes.
+            gyro_misalignment_arcmin: f64 = 0.0, [0.0, 600.0];
+            /// Scale factor of the accelerometers, 1σ, ppm.
+            accel_scale_factor_ppm: f64 = 0.0, [0.0, 100000.0];
+            /// Misalignment of the accelerometers, each off-diagonal term, 1σ, arc minutes.
+            accel_misalignment_arcmin: f64 = 0.0, [0.0, 600.0];
+            /// Response of the gyros to specific force, each term of the full matrix, 1σ, °/h per g.
+            g_sensitivity_deg_h_g: f64 = 0.0, [0.0, 10000.0];
+            /// A known bias of the gyros on x, y, z, added to what is drawn, °/h.
+            gyro_bias_deg_h: [f64; 3] = [0.0; 3], [-100000.0, 100000.0];
+            /// A known bias of the accelerometers on x, y, z, added to what is drawn, µg.
+            accel_bias_ug: [f64; 3] = [0.0; 3], [-1000000.0, 1000000.0];
+            /// A step of the gyros' bias on x, y, z, °/h, …
+            gyro_step_deg_h: [f64; 3] = [0.0; 3], [-100000.0, 100000.0];
+            /// … and when it comes, s.
+            gyro_step_at_s: f64 = 0.0, [0.0, 360000.0];
+            /// Least significant bit of the angle increments, rad. The remainder is carried. Zero: none.
+            gyro_quantum: f64 = 0.0, [0.0, 0.01];
+            /// Least significant bit of the velocity increments, m/s. The remainder is carried. Zero: none.
+            accel_quantum: f64 = 0.0, [0.0, 1.0];
+            /// Mean rate over a sample beyond which a gyro saturates, °/s. Absent: never.
+            gyro_range_dps: Option<f64> = None, [1.0, 10000.0];
+            /// Mean specific force over a sample beyond which an accelerometer saturates, g. Absent: never.
+            accel_range_g: Option<f64> = None, [0.1, 1000.0];
+        }
+        tables {}
+    }
+}
+
+table! {
+    /// One harmonic of the encoder's error: `amplitude · sin(order · α + phase)`.
+    pub struct Harmonic {
+        numbers {
+            /// Periods per turn: 1 for eccentricity, 2 for an oval magnet.
+            order: u32 = 1, [1.0, 1024.0];
+            /// Amplitude, seconds of arc.
+            amplitude_arcsec: f64 = 0.0, [0.0, 36000.0];
+            /// Phase, degrees.
+            phase_deg: f64 = 0.0, [-360.0, 360.0];
+        }
+        tables {}
+    }
+}
+
+table! {
+    /// `[encoder]`: errors of the rotor's encoder.
+    pub struct EncoderErrors {
+        numbers {
+            /// Bits a turn. Zero: exact.
+            bits: u32 = 0, [0.0, 32.0];
+        }
+        tables {
+            /// Nonlinearity, by harmonics of a turn.
+            harmonics: Vec<Harmonic>;
+        }
+    }
+}
+
+/// What moves, how, and how badly it is measured.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Scenario {
+    /// The name of the built-in scenario, or of the file without its ending. Not a key.
+    #[serde(skip)]
+    pub name: String,
+    /// One line for people.
+    pub description: String,
+    /// From the housing's reference point, which sways, to the IMU, in b (right, front, up), m. Range −100 to 100.
+    pub lever_arm_m: [f64; 3],
+    /// Where.
+    pub place: Place,
+    /// How long and how fast.
+    pub run: Run,
+    /// The attitude of the housing.
+    pub swing: Swing,
+    /// Its position.
+    pub sway: Sway,
+    /// The motion of the IMU in the housing.
+    pub rotor: Rotor,
+    /// The noise and bias figures of the IMU, as in a `UNIT.toml`. Without this table the IMU is perfect; with it, even
+    /// empty, keys left out are the paper's.
+    pub imu: Unit,
+    /// Its other errors.
+    pub errors: Errors,
+    /// The errors of the encoder.
+    pub encoder: EncoderErrors,
+}
+
+impl Default for Scenario {
+    /// A perfect unit at rest, heading north.
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            description: String::new(),
+            lever_arm_m: [0.0; 3],
+            place: Place::default(),
+            run: Run::default(),
+            swing: Swing::default(),
+            sway: Sway::default(),
+            rotor: Rotor::default(),
+            imu: Unit::perfect(),
+            errors: Errors::default(),
+            encoder: EncoderErrors::default(),
+        }
+    }
+}
+
+const BUILTIN: [(&str, &str); 5] = [
+    ("static", include_str!("../scenarios/static.toml")),
+    ("paper-sim", include_str!("../scenarios/paper-sim.toml")),
+    ("paper-turntable", include_str!("../scenarios/paper-turntable.toml")),
+    ("moored", include_str!("../scenarios/moored.toml")),
+    (
+        "gyrocompass-standard",
+        include_str!("../scenarios/gyrocompass-standard.toml"),
+    ),
+];
+
+impl Scenario {
+    /// The names of the built-in scenarios.
+    pub fn builtin_names() -> impl Iterator<Item = &'static str> {
+        BUILTIN.iter().map(|(name, _)| *name)
+    }
+
+    /// A built-in scenario.
+    ///
+    /// # Errors
+    /// [`ConfigProblem::UnknownScenario`] with the names there are.
+    pub fn builtin(name: &str) -> Result<Self, ConfigError> {
+        let (_, text) = BUILTIN
+            .iter()
+            .find(|(builtin, _)| *builtin == name)
+            .ok_or_else(|| ConfigError {
+                file: name.to_owned(),
+                line: None,
+                key: None,
+                problem: ConfigProblem::UnknownScenario(Self::builtin_names().collect::<Vec<_>>().join(", ")),
+            })?;
+        Self::parse(text, name)
+    }
+
+    /// Reads a scenario file.
+    ///
+    /// # Errors
+    /// [`ConfigError`]: one line with file, line and key.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let scenario = Self::parse(&table::read(path)?, &path.display().to_string())?;
+        Ok(Self {
+            name: path
+                .file_stem()
+                .map(|stem| stem.to_string_lossy().into_owned())
+                .unwrap_or_default(),
+            ..scenario
+        })
+    }
+
+    /// The same from text; `file_name` becomes the scenario's name and is in error messages.
+    ///
+    /// # Errors
+    /// [`ConfigError`]: one line with file, line and key.
+    pub fn parse(text: &str, file_name: &str) -> Result<Self, ConfigError> {
+        let scenario = table::parse(text, file_name, Self::validate)?;
+        Ok(Self {
+            name: file_name.to_owned(),
+            ..scenario
+        })
+    }
+
+    /// Checks every range, and what the keys must be to each other. Reading does it; whoever sets fields in code and
+    /// hands the scenario to [`Truth`](crate::truth::Truth) has it done there.
+    ///
+    /// # Errors
+    /// The first [`Violation`].
+    pub fn validate(&self) -> Result<(), Violation> {
+        use table::Ranged;
+        let violation = |key: &str, problem: String| {
+            Err(Violation {
+                key: key.to_owned(),
+                problem,
+            })
+        };
+        if let Some(value) = self.lever_arm_m.outside(-100.0, 100.0) {
+            return violation(
+                "lever_arm_m",
+                format!("{value} is out of range, allowed are -100 to 100"),
+            );
+        }
+        self.place.check("place")?;
+        self.run.check("run")?;
+        self.swing.check("swing")?;
+        self.sway.check("sway")?;
+        self.rotor.check("rotor")?;
+        self.imu.check("imu")?;
+        self.errors.check("errors")?;
+        self.encoder.check("encoder")?;
+
+        let Swing { pitch, roll, .. } = &self.swing;
+        for (key, axis, limit) in [("swing.pitch", pitch, 85.0), ("swing.roll", roll, 180.0)] {
+            match axis.centre_deg {
+                Angle::Random => {
+                    return violation(
+                        &table::join(key, "centre_deg"),
+                        "only the heading's centre may be random".to_owned(),
+                    );
+                }
+                Angle::Degrees(centre) if centre.abs() + axis.amplitude_deg > limit => {
+                    return violation(
+                        key,
+                        format!("reaches beyond {limit} degrees: lower centre or amplitude"),
+                    );
+                }
+                Angle::Degrees(_) => {}
+            }
+        }
+        if let Err(error) = self.schedule() {
+            return violation("rotor", error.to_string());
+        }
+        Ok(())
+    }
+
+    /// The rotor's profile, without ripple.
+    ///
+    /// # Errors
+    /// Where the rotor's figures are impossible together.
+    pub fn schedule(&self) -> Result<Schedule<f64>, nav::rotor::RotorError> {
+        Schedule::new(RotorConfig {
+            rate: self.rotor.rate_dps * DEG,
+            travel: self.rotor.travel_deg * DEG,
+            acceleration: self.rotor.acceleration_dps2 * DEG,
+        })
+    }
+
+    /// Number of samples in the run.
+    pub fn samples(&self) -> u64 {
+        // In range by `validate`: at most 3.6e9.
+        (self.run.duration_s * self.run.rate_hz).round() as u64
+    }
+
+    /// End of sample `k`, counted from 1, s. Sample `k` spans `time(k − 1)..time(k)`.
+    pub fn time(&self, k: u64) -> f64 {
+        k as f64 / self.run.rate_hz
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(text: &str) -> String {
+        Scenario::parse(text, "s.toml").unwrap_err().to_string()
+    }
+
+    #[test]
+    fn builtin_scenarios_are_as_stated() {
+        for name in Scenario::builtin_names() {
+            let scenario = Scenario::builtin(name).unwrap();
+            assert_eq!(scenario.name, name);
+            assert!(!scenario.description.is_empty());
+            // Through TOML and JSON and back.
+            let text = toml::to_string(&scenario).unwrap();
+            assert_eq!(Scenario::parse(&text, name).unwrap(), scenario);
+            let text = serde_json::to_string(&scenario).unwrap();
+            let read: Scenario = serde_json::from_str(&text).unwrap();
+            assert_eq!(
+                Scenario {
+                    name: name.to_owned(),
+                    ..read
+                },
+                scenario
+            );
+        }
+        let paper = Scenario::builtin("paper-sim").unwrap();
+        assert_eq!(paper.imu, Unit::default());
+        assert_eq!(paper.swing.heading.centre_deg, Angle::Degrees(330.0));
+        assert_eq!(paper.samples(), 30_000);
+        assert_eq!(
+            Scenario::builtin("paper-simm").unwrap_err().to_string(),
+            "paper-simm: no built-in scenario of this name; there are static, paper-sim, paper-turntable, moored, \
+             gyrocompass-standard"
+        );
+    }
+
+    #[test]
+    fn gyrocompass_standard_accelerates_as_the_standard_says() {
+        let s = Scenario::builtin("gyrocompass-standard").unwrap();
+        let acceleration = |axis: &SwayAxis| axis.amplitude_m * (core::f64::consts::TAU / axis.period_s).powi(2);
+        let level = acceleration(&s.sway.east).hypot(acceleration(&s.sway.north));
+        assert!((level - 0.22).abs() < 1e-3, "{level}");
+    }
+
+    #[test]
+    fn an_empty_scenario_is_perfect_and_at_rest() {
+        let scenario = Scenario::parse("", "s.toml").unwrap();
+        assert_eq!(scenario.imu, Unit::perfect());
+        assert_eq!(scenario.swing, Swing::default());
+        assert_eq!(Scenario::parse("[imu]\n", "s.toml").unwrap().imu, Unit::default());
+    }
+
+    #[test]
+    fn unknown_keys_name_file_line_key_and_the_known_ones() {
+        assert_eq!(
+            message("[place]\nlatitude_deg = 40\nlongitude_deg = 3\n"),
+            "s.toml:3: place.longitude_deg: unknown key; known here: `latitude_deg`, `height_m`"
+        );
+        assert_eq!(
+            message("[swing.pitch]\namplitude = 3\n"),
+            "s.toml:2: swing.pitch.amplitude: unknown key; known here: `amplitude_deg`, `period_s`, `centre_deg`, \
+             `phase_deg`"
+        );
+        assert_eq!(
+            message("[encoder]\nbits = 21\nharmonics = [{ order = 1, size = 3.0 }]\n"),
+            "s.toml:3: encoder.harmonics[0].size: unknown key; known here: `order`, `amplitude_arcsec`, `phase_deg`"
+        );
+        assert_eq!(
+            message("name = \"x\"").split("; ").next().unwrap(),
+            "s.toml:1: name: unknown key"
+        );
+    }
+
+    #[test]
+    fn wrong_types_say_what_is_expected() {
+        assert_eq!(
+            message("[run]\n\nrate_hz = \"fast\""),
+            "s.toml:3: run.rate_hz: found string \"fast\", expected a number"
+        );
+        assert_eq!(
+            message("[swing.heading]\ncentre_deg = \"north\""),
+            "s.toml:2: swing.heading.centre_deg: found string \"north\", expected a number of degrees or \"random\""
+        );
+        assert_eq!(
+            message("[encoder]\nbits = 2.5"),
+            "s.toml:2: encoder.bits: found `2.5`, expected a whole number"
+        );
+        assert_eq!(
+            message("rotor = 3"),
+            "s.toml:1: rotor: found integer `3`, expected a table"
+        );
+        assert_eq!(
+            message("lever_arm_m = [1, 2]"),
+            "s.toml:1: lever_arm_m: invalid length 2, expected an array of length 3"
+        );
+    }
+
+    #[test]
+    fn values_out_of_range_say_what_is_allowed() {
+        assert_eq!(
+            message("[place]\nheight_m = 1\nlatitude_deg = 86"),
+            "s.toml:3: place.latitude_deg: 86 is out of range, allowed are -85 to 85"
+        );
+        assert_eq!(
+            message("[[encoder.harmonics]]\norder = 1\n\n[[encoder.harmonics]]\norder = 0\n"),
+            "s.toml:5: encoder.harmonics[1].order: 0 is out of range, allowed are 1 to 1024"
+        );
+        assert_eq!(
+            message("encoder = { bits = 99 }"),
+            "s.toml:1: encoder.bits: 99 is out of range, allowed are 0 to 32"
+        );
+        assert_eq!(
+            message("\nlever_arm_m = [1, 2, inf]"),
+            "s.toml:2: lever_arm_m: inf is out of range, allowed are -100 to 100"
+        );
+        assert_eq!(
+            message("[swing.pitch]\ncentre_deg = 80\namplitude_deg = 10"),
+            "s.toml:1: swing.pitch: reaches beyond 85 degrees: lower centre or amplitude"
+        );
+        assert_eq!(
+            message("[swing.roll]\ncentre_deg = \"random\""),
+            "s.toml:2: swing.roll.centre_deg: only the heading's centre may be random"
+        );
+        assert_eq!(
+            message("\n[rotor]\ntravel_deg = 1"),
+            "s.toml:2: rotor: rotor travel is shorter than its two ramps: lower the rate, or raise travel or acceleration"
+        );
+        assert_eq!(message("\n\n[place\n").split(": ").next().unwrap(), "s.toml:3");
+    }
+}
