@@ -1,0 +1,616 @@
+//! The aligner: from raw samples to attitude and heading with their σ, step by step.
+//!
+//! ```text
+//!            settle            collect t_k2                 queue empty            σ small, innovations fit
+//! Settling ─────────► Coarse ────────────────► CatchingUp ─────────────► Fine ◄──────────────────────► Aligned
+//!    ▲                  │ degenerate               │                      │                              │
+//!    └──────────────────┴──────── restart ◄────────┴──── gap too long ────┴──────────────────────────────┘
+//! ```
+//!
+//! While coarse alignment collects, every increment waits in a queue. Its result is carried back to
+//! the start (where s is ib0), and the fine filter takes the queue from there, a few increments a
+//! step, until it has caught up with the present. Nothing measured is thrown away, and a step never
+//! takes longer than its share. After that the queue holds at most one increment: replay and live run
+//! are the same code.
+//!
+//! Purely a function of the samples: no clock, no logging, fixed memory. The capacity `N` must hold
+//! `t_k2` at [`AlignerConfig::decimate_to`]; [`Aligner::new`] checks it.
+
+use frames::{Attitude, AttitudeSd, Body, Nav, Real, Rot, Sensor, Vec3, math, units};
+use heapless::Deque;
+
+use crate::{
+    coarse::{Coarse, CoarseError, CoarsePoint, CoarseSolution},
+    earth::{Earth, EarthError},
+    fine::{BA, BG, FilterConfig, FilterConfigError, FineFilter, Innovation, PHI},
+    increment::{Compensator, Decimator, Increment, Sample},
+    rotor::RotorConfig,
+};
+
+/// Queue length that holds the default configuration, 54.3 s at 20 Hz: 31 kB in f32.
+pub const QUEUE: usize = 1100;
+
+/// Increments the fine filter takes from the queue in one step.
+const REPLAY_PER_STEP: usize = 16;
+
+/// Figures of the aligner.
+///
+/// | field | unit | zero means | sane value |
+/// |---|---|---|---|
+/// | `latitude` | rad | the equator | yours, to 0.1° |
+/// | `height` | m | sea level | yours, to 100 m |
+/// | `settle` | s | the first sample counts | 0.2 s |
+/// | `t_k1`, `t_k2` | s | refused | one and three legs of the rotor |
+/// | `decimate_to` | s | every sample is an increment | 50 ms |
+/// | `longest_gap` | s | no gap is bridged | 0.5 s |
+/// | `ready_heading_sd` | rad | never ready | 1° |
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AlignerConfig<T: Real = f32> {
+    /// Geodetic latitude, north positive, rad.
+    pub latitude: T,
+    /// Height above the ellipsoid, m.
+    pub height: T,
+    /// Samples of this first time are only looked at, s.
+    pub settle: T,
+    /// First time of coarse alignment after settling, s ([Xing18] (17)).
+    pub t_k1: T,
+    /// Second time of coarse alignment, s.
+    pub t_k2: T,
+    /// Length of the increments that the filter takes, s.
+    pub decimate_to: T,
+    /// Longest time without data that is bridged once the filter runs, s. Longer ones start anew.
+    pub longest_gap: T,
+    /// Heading 1σ below which the unit calls itself aligned, rad.
+    pub ready_heading_sd: T,
+    /// Figures of the fine filter.
+    pub filter: FilterConfig<T>,
+}
+
+impl<T: Real> AlignerConfig<T> {
+    /// Defaults for a place and a rotor: coarse alignment after one and three whole legs, over which
+    /// the level biases cancel.
+    pub fn for_rotor(latitude: T, height: T, rotor: &RotorConfig<T>, filter: FilterConfig<T>) -> Self {
+        let leg = if rotor.rate > T::zero() {
+            rotor.travel / rotor.rate + rotor.rate / rotor.acceleration
+        } else {
+            T::lit(18.0)
+        };
+        // A fast rotor takes more legs, so that gravity has moved; a slow one gets what the queue holds.
+        let (least, most) = (T::lit(12.0), T::lit(18.2));
+        let legs = if leg < least {
+            (T::lit(15.0) / leg).ceil()
+        } else {
+            T::one()
+        };
+        let t_k1 = (leg * legs).min(most);
+        Self {
+            latitude,
+            height,
+            settle: T::lit(0.2),
+            t_k1,
+            t_k2: T::lit(3.0) * t_k1,
+            decimate_to: T::lit(0.05),
+            longest_gap: T::lit(0.5),
+            ready_heading_sd: T::lit(1.0 * units::DEG),
+            filter,
+        }
+    }
+}
+
+/// Why an aligner cannot be made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum AlignerError {
+    /// The place is out of range.
+    Earth(EarthError),
+    /// A figure of the filter is out of range.
+    Filter(FilterConfigError),
+    /// A time is negative or not finite, or t_k1 and t_k2 are not in order.
+    Times,
+    /// The queue cannot hold t_k2: raise `decimate_to` or the capacity.
+    Queue {
+        /// Increments needed.
+        needed: u32,
+        /// Increments it holds.
+        capacity: u32,
+    },
+}
+
+impl core::fmt::Display for AlignerError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Earth(e) => e.fmt(f),
+            Self::Filter(e) => e.fmt(f),
+            Self::Times => f.write_str("aligner times must be finite and not negative, with 0 < t_k1 < t_k2"),
+            Self::Queue { needed, capacity } => {
+                write!(
+                    f,
+                    "t_k2 needs {needed} increments, the queue holds {capacity}: raise decimate_to or the capacity"
+                )
+            }
+        }
+    }
+}
+
+impl core::error::Error for AlignerError {}
+
+/// Where the aligner stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mode {
+    /// Looks at the first samples.
+    Settling,
+    /// Collects for coarse alignment; increments wait in the queue.
+    Coarse,
+    /// The fine filter works through the queue.
+    CatchingUp,
+    /// The fine filter is at the present; its result is not good enough yet.
+    Fine,
+    /// Heading is within its set σ and the innovations fit the model; keeps tracking.
+    Aligned,
+}
+
+/// Why the aligner is not aligned, or not any more.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum NotReady<T: Real = f32> {
+    /// Settling or collecting: this long to go, s.
+    Collecting {
+        /// Time until coarse alignment, s.
+        remaining: T,
+    },
+    /// Increments still wait in the queue.
+    CatchingUp {
+        /// How many.
+        queued: u32,
+    },
+    /// Heading is known, but not well enough.
+    HeadingSd {
+        /// Its 1σ now, rad.
+        sd: T,
+    },
+    /// Innovations are larger than the model allows: the base moves, or a sensor has changed. Attitude
+    /// and σ must not be trusted.
+    Inconsistent {
+        /// Mean of innovation²/variance per component; 1 where the model holds.
+        ratio: T,
+    },
+}
+
+/// Why the alignment started anew.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Restart<T: Real = f32> {
+    /// Coarse alignment found no attitude.
+    Coarse(CoarseError<T>),
+    /// No data for longer than `longest_gap`, or any gap while collecting.
+    Gap {
+        /// How long, s.
+        length: T,
+    },
+    /// A sample that is not finite, or an interval that is not positive.
+    BadSample,
+    /// The innovations were so far from the model that the filter's figures are no covariance any more.
+    Diverged,
+}
+
+/// What a step brought about.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Event<T: Real = f32> {
+    /// Coarse alignment has succeeded; the fine filter starts from it.
+    CoarseDone {
+        /// Attitude of the housing by coarse alignment, now.
+        attitude: Attitude<T>,
+        /// Its predicted 1σ.
+        sd: AttitudeSd<T>,
+    },
+    /// The fine filter has caught up with the present.
+    CaughtUp,
+    /// Heading is within its set σ.
+    Aligned,
+    /// It no longer is, or the innovations no longer fit.
+    Lost(NotReady<T>),
+    /// Data were missing and have been bridged.
+    Bridged {
+        /// How long, s.
+        length: T,
+    },
+    /// Everything starts anew.
+    Restarted(Restart<T>),
+}
+
+/// All that is known at one moment.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate<T: Real = f32> {
+    /// `C_b^n`.
+    pub c_nb: Rot<Nav, Body, T>,
+    /// Its angles.
+    pub attitude: Attitude<T>,
+    /// 1σ of each angle.
+    pub sd: AttitudeSd<T>,
+    /// Gyro biases, rad/s.
+    pub gyro_bias_s: Vec3<Sensor, T>,
+    /// 1σ of each.
+    pub gyro_bias_sd: Vec3<Sensor, T>,
+    /// Accelerometer biases, m/s².
+    pub accel_bias_s: Vec3<Sensor, T>,
+    /// 1σ of each.
+    pub accel_bias_sd: Vec3<Sensor, T>,
+}
+
+/// Running mean of the normalised squared innovations.
+///
+/// A mean over about 16 measurements of three components has a spread of √(2/48) = 0.2 about one where
+/// the model holds; twice the expected is five of those.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Consistency<T: Real> {
+    ratio: T,
+    last: Option<Innovation<T>>,
+}
+
+impl<T: Real> Consistency<T> {
+    const MEMORY: f64 = 16.0;
+    const LIMIT: f64 = 2.0;
+
+    fn new() -> Self {
+        Self {
+            ratio: T::one(),
+            last: None,
+        }
+    }
+
+    fn push(&mut self, innovation: Innovation<T>) {
+        let ratio = innovation.normalised_squared * T::lit(1.0 / 3.0);
+        self.ratio += (ratio - self.ratio) * T::lit(1.0 / Self::MEMORY);
+        self.last = Some(innovation);
+    }
+
+    fn holds(&self) -> bool {
+        self.ratio <= T::lit(Self::LIMIT)
+    }
+}
+
+/// The modes with what each of them holds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Stage<T: Real> {
+    Settling {
+        elapsed: T,
+    },
+    Coarse {
+        coarse: Coarse<T>,
+        first: Option<CoarsePoint<T>>,
+    },
+    Fine {
+        filter: FineFilter<T>,
+        consistency: Consistency<T>,
+        live: bool,
+        aligned: bool,
+    },
+}
+
+/// See the module.
+#[derive(Debug, Clone)]
+pub struct Aligner<T: Real = f32, const N: usize = QUEUE> {
+    config: AlignerConfig<T>,
+    earth: Earth<T>,
+    compensator: Compensator<T>,
+    decimator: Decimator<T>,
+    last: Option<Sample<T>>,
+    queue: Deque<Increment<T>, N>,
+    stage: Stage<T>,
+    c_sb: Rot<Sensor, Body, T>,
+}
+
+impl<T: Real, const N: usize> Aligner<T, N> {
+    /// Checks the figures and waits for the first sample.
+    ///
+    /// # Errors
+    /// [`AlignerError`] says which figure is out of range.
+    pub fn new(config: AlignerConfig<T>) -> Result<Self, AlignerError> {
+        let earth = Earth::new(config.latitude, config.height).map_err(AlignerError::Earth)?;
+        config.filter.validate().map_err(AlignerError::Filter)?;
+        let zero = T::zero();
+        let AlignerConfig {
+            settle,
+            t_k1,
+            t_k2,
+            decimate_to,
+            longest_gap,
+            ready_heading_sd,
+            ..
+        } = config;
+        let sane = |x: T| x.finite() && x >= zero;
+        let times = [settle, t_k1, t_k2, decimate_to, longest_gap, ready_heading_sd];
+        if !(times.into_iter().all(sane) && t_k1 > zero && t_k2 > t_k1) {
+            return Err(AlignerError::Times);
+        }
+        if decimate_to > zero {
+            // From the first catching-up step on the queue shrinks. One for the increment that is over t_k2,
+            // one for rounding.
+            let needed = t_k2 / decimate_to + T::lit(2.0);
+            if needed > T::lit(N as f64) {
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    clippy::cast_sign_loss,
+                    reason = "only for the message"
+                )]
+                let needed = needed.to_f64() as u32;
+                #[expect(clippy::cast_possible_truncation, reason = "a queue of 2^32 increments is 100 GB")]
+                return Err(AlignerError::Queue {
+                    needed,
+                    capacity: N as u32,
+                });
+            }
+        }
+        Ok(Self {
+            config,
+            earth,
+            compensator: Compensator::new(),
+            decimator: Decimator::new(decimate_to),
+            last: None,
+            queue: Deque::new(),
+            stage: Stage::Settling { elapsed: zero },
+            c_sb: Rot::identity(),
+        })
+    }
+
+    /// Takes one sample and the rotor angle α at its end, rad.
+    ///
+    /// At most one event a step is told; of two, the one that says more.
+    pub fn step(&mut self, sample: &Sample<T>, alpha: T) -> Option<Event<T>> {
+        if !(sample.is_valid() && alpha.finite()) {
+            return Some(self.restart(Restart::BadSample));
+        }
+        self.c_sb = Rot::about_z(alpha).inverse();
+        let mut event = None;
+        if sample.gap > T::zero() {
+            match self.bridge(sample) {
+                Ok(bridged) => event = bridged,
+                Err(reason) => return Some(self.restart(reason)),
+            }
+        }
+        self.last = Some(*sample);
+        if let Stage::Settling { elapsed } = &mut self.stage {
+            *elapsed += sample.dt;
+            let settled = *elapsed >= self.config.settle;
+            // The last sample of settling is the past that the first increment's coning terms need.
+            self.compensator.increment(sample);
+            if settled {
+                self.stage = Stage::Coarse {
+                    coarse: Coarse::new(),
+                    first: None,
+                };
+            }
+            return event;
+        }
+        let increment = self.compensator.increment(sample);
+        if let Some(joined) = self.decimator.push(&increment) {
+            if let Err(reason) = self.take(joined) {
+                return Some(self.restart(reason));
+            }
+            let told = self.collect();
+            event = told.or(event);
+        }
+        self.work_off().or(event)
+    }
+
+    /// Bridges the gap before `sample` while the fine filter runs.
+    fn bridge(&mut self, sample: &Sample<T>) -> Result<Option<Event<T>>, Restart<T>> {
+        let length = sample.gap;
+        let refused = Err(Restart::Gap { length });
+        let Some(before) = self.last else { return Ok(None) };
+        match &mut self.stage {
+            Stage::Settling { .. } => return Ok(None),
+            _ if length > self.config.longest_gap => return refused,
+            Stage::Coarse { .. } => {
+                // A missing sample or two is smoothed over; more would bend the attitude that all rests on.
+                if length > before.dt * T::lit(3.0) {
+                    return refused;
+                }
+            }
+            Stage::Fine { filter, .. } => {
+                // The mean rate is off by at most half the change of rate across the gap, when all of the
+                // change came at one of its ends.
+                let half = T::lit(0.5) * length;
+                let turn = (sample.dtheta_s / sample.dt - before.dtheta_s / before.dt).norm() * half;
+                let velocity = (sample.dv_s / sample.dt - before.dv_s / before.dt).norm() * half;
+                let third = T::lit(1.0 / 3.0);
+                // A sample or two are smooth: the error is the curvature's, a small part of that bound.
+                let share = if length > before.dt * T::lit(3.0) {
+                    T::one()
+                } else {
+                    third * third
+                };
+                filter.doubt(turn * share, velocity * share);
+            }
+        }
+        let bridge = before.bridge(sample, length);
+        let increment = self.compensator.increment(&bridge);
+        if let Some(joined) = self.decimator.push(&increment) {
+            self.take(joined)?;
+        }
+        Ok(Some(Event::Bridged { length }))
+    }
+
+    /// Queues a joined increment and lets coarse alignment have it.
+    fn take(&mut self, joined: Increment<T>) -> Result<(), Restart<T>> {
+        if let Stage::Coarse { coarse, first } = &mut self.stage {
+            coarse.push(&joined);
+            let half = T::lit(0.5) * joined.dt;
+            if first.is_none() && coarse.t() + half >= self.config.t_k1 {
+                *first = Some(coarse.point());
+            }
+        }
+        // `new` has made room for all of the default course of things; only bridged gaps of a stalled
+        // source could fill it.
+        self.queue
+            .push_back(joined)
+            .map_err(|joined| Restart::Gap { length: joined.dt })
+    }
+
+    /// Solves for the coarse attitude where it is time.
+    fn collect(&mut self) -> Option<Event<T>> {
+        let Stage::Coarse {
+            coarse,
+            first: Some(first),
+        } = &self.stage
+        else {
+            return None;
+        };
+        if coarse.t() + T::lit(0.5) * self.config.decimate_to < self.config.t_k2 {
+            return None;
+        }
+        let solution = match CoarseSolution::solve(*first, coarse.point(), &self.earth) {
+            Ok(solution) => solution,
+            Err(reason) => return Some(self.restart(Restart::Coarse(reason))),
+        };
+        let attitude = Attitude::from_rot(&(coarse.c_ns(&solution, &self.earth) * self.c_sb));
+        let sd = coarse.attitude_sd(&solution, &self.earth, &self.config.filter.noise);
+        // The figures were checked when the aligner was made.
+        let filter = FineFilter::new(self.config.filter, self.earth, solution.c_ns_at_start(&self.earth)).ok()?;
+        self.stage = Stage::Fine {
+            filter,
+            consistency: Consistency::new(),
+            live: false,
+            aligned: false,
+        };
+        Some(Event::CoarseDone { attitude, sd })
+    }
+
+    /// Lets the fine filter have its share of the queue.
+    fn work_off(&mut self) -> Option<Event<T>> {
+        let Stage::Fine {
+            filter,
+            consistency,
+            live,
+            ..
+        } = &mut self.stage
+        else {
+            return None;
+        };
+        let mut measured = false;
+        for _ in 0..REPLAY_PER_STEP {
+            let Some(increment) = self.queue.pop_front() else { break };
+            if let Some(innovation) = filter.step(&increment) {
+                if !(filter.covariance().is_sound() && filter.v_n().is_finite()) {
+                    return Some(self.restart(Restart::Diverged));
+                }
+                consistency.push(innovation);
+                measured = true;
+            }
+        }
+        if !*live {
+            *live = self.queue.is_empty();
+            return live.then_some(Event::CaughtUp);
+        }
+        if !measured {
+            return None;
+        }
+        let not_ready = self.not_ready_fine();
+        let Stage::Fine { aligned: was, .. } = &mut self.stage else {
+            return None;
+        };
+        match (*was, not_ready) {
+            (false, None) => {
+                *was = true;
+                Some(Event::Aligned)
+            }
+            (true, Some(reason)) => {
+                *was = false;
+                Some(Event::Lost(reason))
+            }
+            _ => None,
+        }
+    }
+
+    fn restart(&mut self, reason: Restart<T>) -> Event<T> {
+        self.compensator = Compensator::new();
+        self.decimator = Decimator::new(self.config.decimate_to);
+        self.last = None;
+        self.queue.clear();
+        self.stage = Stage::Settling { elapsed: T::zero() };
+        Event::Restarted(reason)
+    }
+
+    /// Where the aligner stands.
+    pub fn mode(&self) -> Mode {
+        match &self.stage {
+            Stage::Settling { .. } => Mode::Settling,
+            Stage::Coarse { .. } => Mode::Coarse,
+            Stage::Fine { live: false, .. } => Mode::CatchingUp,
+            Stage::Fine { aligned: false, .. } => Mode::Fine,
+            Stage::Fine { .. } => Mode::Aligned,
+        }
+    }
+
+    /// Why it is not aligned; `None` where it is.
+    pub fn not_ready(&self) -> Option<NotReady<T>> {
+        match &self.stage {
+            Stage::Settling { elapsed } => Some(NotReady::Collecting {
+                remaining: self.config.settle - *elapsed + self.config.t_k2,
+            }),
+            Stage::Coarse { coarse, .. } => Some(NotReady::Collecting {
+                remaining: self.config.t_k2 - coarse.t(),
+            }),
+            #[expect(clippy::cast_possible_truncation, reason = "a queue of 2^32 increments is 100 GB")]
+            Stage::Fine { live: false, .. } => Some(NotReady::CatchingUp {
+                queued: self.queue.len() as u32,
+            }),
+            Stage::Fine { .. } => self.not_ready_fine(),
+        }
+    }
+
+    fn not_ready_fine(&self) -> Option<NotReady<T>> {
+        let Stage::Fine { consistency, .. } = &self.stage else {
+            return None;
+        };
+        if !consistency.holds() {
+            return Some(NotReady::Inconsistent {
+                ratio: consistency.ratio,
+            });
+        }
+        let sd = self.estimate()?.sd.heading;
+        (sd > self.config.ready_heading_sd).then_some(NotReady::HeadingSd { sd })
+    }
+
+    /// What is known now; `None` before the fine filter is at the present.
+    pub fn estimate(&self) -> Option<Estimate<T>> {
+        let Stage::Fine { filter, live: true, .. } = &self.stage else {
+            return None;
+        };
+        let mut c_ns = filter.c_ns();
+        if let Some(pending) = self.decimator.pending() {
+            let turn = Rot::exp(pending.phi_s - filter.gyro_bias_s() * pending.dt);
+            c_ns = (Rot::exp(-(self.earth.w_ie_n() * pending.dt)) * c_ns * turn).normalized();
+        }
+        let c_nb = c_ns * self.c_sb;
+        let p = filter.covariance();
+        let p_phi = p.block(PHI, PHI);
+        let sd_along = |j: Vec3<Nav, T>| math::sqrt((p_phi * j.vector()).dot(&j.vector()).max(T::zero()));
+        let [heading, pitch, roll] = Attitude::jacobian(&c_nb).map(sd_along);
+        let sd_of = |block: usize| Vec3::from_vector(p.variances(block).map(|v| math::sqrt(v.max(T::zero()))));
+        Some(Estimate {
+            c_nb,
+            attitude: Attitude::from_rot(&c_nb),
+            sd: AttitudeSd { heading, pitch, roll },
+            gyro_bias_s: filter.gyro_bias_s(),
+            gyro_bias_sd: sd_of(BG),
+            accel_bias_s: filter.accel_bias_s(),
+            accel_bias_sd: sd_of(BA),
+        })
+    }
+
+    /// The last innovation of the fine filter, and the running mean of innovation²/variance per component.
+    pub fn innovation(&self) -> Option<(Innovation<T>, T)> {
+        let Stage::Fine { consistency, .. } = &self.stage else {
+            return None;
+        };
+        consistency.last.map(|last| (last, consistency.ratio))
+    }
+
+    /// The figures it runs on.
+    pub fn config(&self) -> &AlignerConfig<T> {
+        &self.config
+    }
+
+    /// Earth at the configured place.
+    pub fn earth(&self) -> &Earth<T> {
+        &self.earth
+    }
+}

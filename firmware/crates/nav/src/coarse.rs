@@ -1,0 +1,249 @@
+//! Coarse alignment in the inertial frame with rotation modulation (RMT-IFBA).
+//!
+//! Gravity seen from inertial space moves on a cone about Earth's axis, and its direction at two
+//! times tells all of the attitude ([Xing18] §4.1):
+//!
+//! ```text
+//! C_s^n(t) = C_i^n(t) C_ib0^i C_s^ib0(t)                                   (7), (18)
+//! Ċ_s^ib0 = C_s^ib0 [ω_is^s ×],  C_s^ib0(0) = I                            (11)
+//! V^ib0(t) = Σ C_s^ib0 Δv⁰,      V^i(t) = −∫ g^i dt                        (13), (15)
+//! C_ib0^i from V^i(t_k) = C_ib0^i V^ib0(t_k) at t_k1 and t_k2              (16), (17)
+//! ```
+//!
+//! (17) is solved with orthonormal triads instead of the printed inverse: the same matrix where the
+//! vectors fit, and a rotation in every case.
+//!
+//! The predicted σ carries the turn-on biases through the actual motion (integrals of `C_s^ib0`, which
+//! the rotor makes small) and the random walks in closed form for level axes. Not modelled: the
+//! velocity of a base that moves, which on water is the largest error.
+
+use frames::{AttitudeSd, Inertial, Nav, Real, Rot, RotIntegral, Sensor, SensorStart, Vec3, VecSum, math};
+use nalgebra::Matrix3;
+
+use crate::{earth::Earth, increment::Increment, noise::ImuNoise};
+
+/// Why a pair of times gives no attitude.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum CoarseError<T: Real = f32> {
+    /// t_k1 and t_k2 must be positive and in this order: gravity must have moved in between.
+    Times {
+        /// The earlier time, s.
+        t1: T,
+        /// The later time, s.
+        t2: T,
+    },
+    /// The mean specific force is not gravity: free fall, a wrong unit, or a base that accelerates.
+    Gravity {
+        /// Its magnitude, m/s².
+        found: T,
+        /// Gravity at this place, m/s².
+        expected: T,
+    },
+    /// Gravity has moved by less than a tenth, or more than ten times, of what Earth's rotation makes
+    /// of it: collect for longer, or let the base come to rest.
+    Degenerate {
+        /// Angle between the two velocities, rad.
+        found: T,
+        /// What Earth's rotation makes of it, rad.
+        expected: T,
+    },
+}
+
+impl<T: Real> core::fmt::Display for CoarseError<T> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Times { .. } => "coarse alignment needs two different times after its start",
+            Self::Gravity { .. } => {
+                "mean specific force is not gravity: free fall, wrong units, or an accelerating base"
+            }
+            Self::Degenerate { .. } => {
+                "gravity did not move as Earth turns: collect for longer, or let the base come to rest"
+            }
+        })
+    }
+}
+
+impl<T: Real> core::error::Error for CoarseError<T> {}
+
+/// The integrals at one time, enough to solve from any two of them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CoarsePoint<T: Real = f32> {
+    /// Time since the start, s.
+    pub t: T,
+    /// `V^ib0(t)`, m/s.
+    pub v_ib0: Vec3<SensorStart, T>,
+    /// `∫ C_s^ib0`, s: what a constant accelerometer bias makes of the velocity.
+    bias_once: Matrix3<T>,
+    /// `∫∫ C_s^ib0`, s²: what a constant gyro bias makes of it, but for gravity.
+    bias_twice: Matrix3<T>,
+}
+
+/// The running integrals of coarse alignment.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Coarse<T: Real = f32> {
+    t: T,
+    c_ib0_s: RotIntegral<SensorStart, Sensor, T>,
+    v_ib0: VecSum<SensorStart, T>,
+    bias_once: Matrix3<T>,
+    bias_twice: Matrix3<T>,
+}
+
+/// What two points say.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CoarseSolution<T: Real = f32> {
+    /// `C_ib0^i`.
+    pub c_i_ib0: Rot<Inertial, SensorStart, T>,
+    first: CoarsePoint<T>,
+    second: CoarsePoint<T>,
+}
+
+impl<T: Real> Default for Coarse<T> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<T: Real> Coarse<T> {
+    /// At the start: s and ib0 coincide, nothing has been integrated.
+    pub fn new() -> Self {
+        Self {
+            t: T::zero(),
+            c_ib0_s: RotIntegral::new(Rot::identity()),
+            v_ib0: VecSum::new(Vec3::zero()),
+            bias_once: Matrix3::zeros(),
+            bias_twice: Matrix3::zeros(),
+        }
+    }
+
+    /// Adds one increment ((11), (15)).
+    pub fn push(&mut self, increment: &Increment<T>) {
+        let dt = increment.dt;
+        let c_ib0_s = self.c_ib0_s.get();
+        self.v_ib0.add(c_ib0_s * increment.dv_s);
+        let turned = c_ib0_s.matrix() * dt;
+        self.bias_twice += self.bias_once * dt + turned * (T::lit(0.5) * dt);
+        self.bias_once += turned;
+        self.c_ib0_s.turn_from(increment.phi_s);
+        self.t += dt;
+    }
+
+    /// Time since the start, s.
+    pub fn t(&self) -> T {
+        self.t
+    }
+
+    /// `C_s^ib0` now.
+    pub fn c_ib0_s(&self) -> Rot<SensorStart, Sensor, T> {
+        self.c_ib0_s.get()
+    }
+
+    /// The integrals now.
+    pub fn point(&self) -> CoarsePoint<T> {
+        CoarsePoint {
+            t: self.t,
+            v_ib0: self.v_ib0.get(),
+            bias_once: self.bias_once,
+            bias_twice: self.bias_twice,
+        }
+    }
+
+    /// `C_s^n` now ((18)).
+    pub fn c_ns(&self, solution: &CoarseSolution<T>, earth: &Earth<T>) -> Rot<Nav, Sensor, T> {
+        (earth.c_ni(self.t) * solution.c_i_ib0 * self.c_ib0_s.get()).normalized()
+    }
+
+    /// Predicted 1σ of the attitude that [`Coarse::c_ns`] gives now, from the IMU's figures.
+    pub fn attitude_sd(&self, solution: &CoarseSolution<T>, earth: &Earth<T>, noise: &ImuNoise<T>) -> AttitudeSd<T> {
+        let CoarseSolution { first, second, .. } = solution;
+        let (t1, t2, t) = (first.t, second.t, self.t);
+        let g = earth.gravity();
+        let third = T::lit(1.0 / 3.0);
+        let square = |x: T| x * x;
+        let axes = (earth.c_ni(t) * solution.c_i_ib0).matrix();
+        let row_norm2 = |m: &Matrix3<T>, row: usize| (axes.row(row) * m).norm_squared();
+
+        // Mean tilt over [0, t1] and [0, t2] for a unit gyro bias; mean rotation for an accelerometer's.
+        let gyro = |p: &CoarsePoint<T>| p.bias_twice / p.t;
+        let accel = |p: &CoarsePoint<T>| p.bias_once / (p.t * g);
+
+        // Heading: the tilt about east by which the second mean differs from the first, over the angle
+        // by which Earth's rotation makes them differ, ω_ie cos L (t2 − t1)/2; and the drift about the
+        // vertical since the time that the pair stands for, 2/3 (t1 + t2).
+        let lever = T::lit(0.5) * earth.w_north() * (t2 - t1);
+        let east = square(noise.gyro_bias_sd) * row_norm2(&(gyro(second) - gyro(first)), 0)
+            + square(noise.accel_bias_sd) * row_norm2(&(accel(second) - accel(first)), 1)
+            + square(noise.angle_random_walk * (t2 - t1)) * third / t2
+            + square(noise.velocity_random_walk / g) * (T::one() / t1 - T::one() / t2);
+        let age = t - T::lit(2.0) * third * (t1 + t2);
+        let up = square(noise.gyro_bias_sd * age) + square(noise.angle_random_walk) * age.abs();
+
+        // Tilt: the gyros carry the vertical from its mean over [0, t1] to now.
+        let tilt = |row: usize| {
+            square(noise.gyro_bias_sd) * row_norm2(&(self.bias_once - gyro(first)), row)
+                + square(noise.accel_bias_sd) * row_norm2(&accel(first), 1 - row)
+                + square(noise.angle_random_walk) * (t - T::lit(2.0) * third * t1)
+                + square(noise.velocity_random_walk / g) / t1
+        };
+        AttitudeSd {
+            heading: math::sqrt(east / square(lever) + up),
+            pitch: math::sqrt(tilt(0)),
+            roll: math::sqrt(tilt(1)),
+        }
+    }
+}
+
+impl<T: Real> CoarseSolution<T> {
+    /// Solves (17) from two points.
+    ///
+    /// # Errors
+    /// [`CoarseError`] where the geometry gives no attitude.
+    pub fn solve(first: CoarsePoint<T>, second: CoarsePoint<T>, earth: &Earth<T>) -> Result<Self, CoarseError<T>> {
+        let (t1, t2) = (first.t, second.t);
+        if !(t1.finite() && t2.finite() && t1 > T::zero() && t2 > t1) {
+            return Err(CoarseError::Times { t1, t2 });
+        }
+        let expected = earth.gravity();
+        for point in [&first, &second] {
+            let found = point.v_ib0.norm() / point.t;
+            let off = (found - expected).abs();
+            if !off.finite() || off > T::lit(0.1) * expected {
+                return Err(CoarseError::Gravity { found, expected });
+            }
+        }
+        let (v1_i, v2_i) = (earth.velocity_i(t1), earth.velocity_i(t2));
+        let angle = |a: T, b: T, cross: T| math::atan2(cross, a * b);
+        let expected = angle(v1_i.norm(), v2_i.norm(), v1_i.cross(v2_i).norm());
+        let found = angle(
+            first.v_ib0.norm(),
+            second.v_ib0.norm(),
+            first.v_ib0.cross(second.v_ib0).norm(),
+        );
+        let ten = T::lit(10.0);
+        // Rounding of the two velocities must not be what is measured.
+        let floor = T::lit(100.0) * T::default_epsilon();
+        if !(found > floor && expected > floor && found * ten > expected && found < ten * expected) {
+            return Err(CoarseError::Degenerate { found, expected });
+        }
+        let c = triad(v1_i, v2_i) * triad(first.v_ib0, second.v_ib0).transpose();
+        Ok(Self {
+            c_i_ib0: Rot::from_matrix(&c),
+            first,
+            second,
+        })
+    }
+
+    /// `C_s^n` at the start of alignment, where s is ib0.
+    pub fn c_ns_at_start(&self, earth: &Earth<T>) -> Rot<Nav, Sensor, T> {
+        (earth.c_ni(T::zero()) * self.c_i_ib0).normalized().relabel()
+    }
+}
+
+/// The orthonormal triad of two vectors as columns: along the first, along their cross product, and
+/// along (a × b) × a.
+fn triad<F: frames::Frame, T: Real>(a: Vec3<F, T>, b: Vec3<F, T>) -> Matrix3<T> {
+    let first = a / a.norm();
+    let second = first.cross(b / b.norm());
+    let second = second / second.norm();
+    let third = second.cross(first);
+    Matrix3::from_columns(&[first.vector(), second.vector(), third.vector()])
+}

@@ -1,0 +1,99 @@
+//! Fading factors of the strong-tracking filter.
+//!
+//! A filter that trusts its model too much stops listening; the strong-tracking filter watches the
+//! innovations and, when they are larger than P says, raises the variances of chosen states before
+//! the prediction ([Xing18] (26); multiple factors after D. H. Zhou and P. M. Frank, *Strong tracking
+//! filtering of nonlinear time-varying stochastic systems with coloured noise*, Int. J. Control 65
+//! (1996)). With innovation γ, forgetting ρ and softening β:
+//!
+//! ```text
+//! V = γ γᵀ at first, then (ρ V + γ γᵀ)/(1 + ρ)
+//! N = V − H Q Hᵀ − β R,    M = H Φ P Φᵀ Hᵀ,    c = tr N / tr M,    λ_i = max(1, α_i c)
+//! P⁻ = Φ D^½ P D^½ Φᵀ + Q,    D = diag(λ)
+//! ```
+//!
+//! D stands inside Φ, as printed: the state that has drifted is faded, and Φ carries what that means
+//! to the others. The printed denominator Σ α_i M_ii sees only states that are measured themselves,
+//! and would be zero for factors on the biases alone; here c is the single factor that explains the
+//! innovations, and α says which states take it.
+//!
+//! All λ = 1 leave the Kalman filter bit for bit, because scaling by one is exact.
+
+use frames::Real;
+use nalgebra::{Matrix3, Vector3};
+
+/// Figures of the strong-tracking policy.
+///
+/// | field | unit | zero means | sane value |
+/// |---|---|---|---|
+/// | `forgetting` | – | only the last innovation counts | 0.5 |
+/// | `softening` | – | refused: below one every innovation fades | 2 |
+/// | `weights` | – | that state is never faded | 1 on gyro biases, 0 elsewhere |
+/// | `limit` | – | refused: below one there is no factor | 100 |
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StrongTracking<T: Real, const B: usize> {
+    /// ρ in [0, 1].
+    pub forgetting: T,
+    /// β ≥ 1.
+    pub softening: T,
+    /// α by block of states, ≥ 0.
+    pub weights: [Vector3<T>; B],
+    /// Largest factor, ≥ 1: one wild innovation must not erase what was learnt.
+    pub limit: T,
+}
+
+impl<T: Real, const B: usize> StrongTracking<T, B> {
+    /// Whether the figures are in range.
+    pub fn is_valid(&self) -> bool {
+        let (zero, one) = (T::zero(), T::one());
+        (zero..=one).contains(&self.forgetting)
+            && self.softening.finite()
+            && self.softening >= one
+            && self.limit.finite()
+            && self.limit >= one
+            && self.weights.iter().all(|w| w.iter().all(|a| a.finite() && *a >= zero))
+    }
+}
+
+/// The running mean of the innovations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fading<T: Real> {
+    /// Trace of V, `None` before the first innovation.
+    trace: Option<T>,
+}
+
+impl<T: Real> Default for Fading<T> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<T: Real> Fading<T> {
+    /// Before the first innovation.
+    pub fn new() -> Self {
+        Self { trace: None }
+    }
+
+    /// The factors for the prediction that led to `innovation`.
+    ///
+    /// `m` is the block of Φ P Φᵀ that is measured, `q` that of Q, `r` the noise variance of each
+    /// component. Only traces enter, so only the trace of V is kept.
+    pub fn factors<const B: usize>(
+        &mut self,
+        policy: &StrongTracking<T, B>,
+        innovation: &Vector3<T>,
+        m: &Matrix3<T>,
+        q: &Matrix3<T>,
+        r: T,
+    ) -> [Vector3<T>; B] {
+        let (one, rho) = (T::one(), policy.forgetting);
+        let gamma2 = innovation.norm_squared();
+        let v = self.trace.map_or(gamma2, |v| (rho * v + gamma2) / (one + rho));
+        self.trace = Some(v);
+        let n = v - q.trace() - policy.softening * T::lit(3.0) * r;
+        let c = n / m.trace();
+        policy
+            .weights
+            .map(|weights| weights.map(|alpha| (alpha * c).min(policy.limit).max(one)))
+    }
+}
