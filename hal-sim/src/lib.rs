@@ -1,6 +1,7 @@
 //! x
 #![allow(missing_docs, reason = "skeleton")]
 
+pub mod device;
 pub mod scenario;
 pub mod sensors;
 pub mod truth;
