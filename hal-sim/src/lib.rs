@@ -2,6 +2,7 @@
 #![allow(missing_docs, reason = "skeleton")]
 
 pub mod device;
+pub mod log;
 pub mod scenario;
 pub mod sensors;
 pub mod truth;

@@ -1,0 +1,594 @@
+use frames::units::DEG;
+use proptest::prelude::*;
+
+use super::*;
+use crate::scenario::Scenario;
+use crate::sensors::{Encoder, Imu};
+use crate::truth::Truth;
+
+const HEADER: &str = "t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2,encoder_rad";
+
+fn rows(text: impl AsRef<[u8]>) -> Vec<Result<LogRow, LogError>> {
+    match LogReader::new(text.as_ref(), "l.csv") {
+        Ok(reader) => reader.collect(),
+        Err(error) => vec![Err(error)],
+    }
+}
+
+/// The message of the error the log ends with.
+fn message(text: impl AsRef<[u8]>) -> String {
+    rows(text).pop().unwrap().unwrap_err().to_string()
+}
+
+/// `message` of a good header and three good rows followed by `rest`.
+fn message_after(rest: &str) -> String {
+    message(good(3) + rest)
+}
+
+fn good(rows: u32) -> String {
+    let mut text = format!("{HEADER}\n");
+    for k in 1..=rows {
+        text += &format!(
+            "{:.2},0.1,0.2,0.349,0.1,0.2,9.8,{:.4}\n",
+            f64::from(k) * 0.01,
+            f64::from(k) * 0.0035
+        );
+    }
+    text
+}
+
+/// A run written as a log.
+fn log_of(scenario: &Scenario, seed: u64) -> String {
+    let truth = Truth::new(scenario, seed).unwrap();
+    let (mut imu, encoder) = (Imu::new(scenario, seed), Encoder::new(scenario));
+    let mut log = LogWriter::new(Vec::new(), false).unwrap();
+    for k in 1..=scenario.samples() {
+        let (t0, t1) = (scenario.time(k - 1), scenario.time(k));
+        let (dtheta, dv) = truth.increment(t0, t1);
+        let m = imu.measure(dtheta, dv, t1 - t0);
+        let alpha = encoder.measure(truth.rotor_angle(t1));
+        log.write(t1, t1 - t0, m.dtheta_s, m.dv_s, alpha, None).unwrap();
+    }
+    String::from_utf8(log.finish().unwrap()).unwrap()
+}
+
+fn scenario(name: &str, seconds: f64) -> Scenario {
+    let mut scenario = Scenario::builtin(name).unwrap();
+    scenario.run.duration_s = seconds;
+    scenario
+}
+
+/// The log with every row's values changed.
+fn changed(text: &str, change: impl Fn(usize, &mut [f64; 8])) -> String {
+    let mut out = format!("{HEADER}\n");
+    for (k, line) in text.lines().skip(1).enumerate() {
+        let mut values = [0.0; 8];
+        for (value, field) in values.iter_mut().zip(line.split(',')) {
+            *value = field.parse().unwrap();
+        }
+        change(k, &mut values);
+        out += &values.map(|v| format!("{v:e}")).join(",");
+        out.push('\n');
+    }
+    out
+}
+
+fn check(text: &str) -> Result<Vec<String>, String> {
+    let mut checker = Checker::new("l.csv");
+    for row in rows(text) {
+        checker.push(&row.unwrap()).map_err(|e| e.to_string())?;
+    }
+    checker
+        .finish()
+        .map(|warnings| warnings.iter().map(ToString::to_string).collect())
+        .map_err(|e| e.to_string())
+}
+
+#[test]
+fn what_is_written_is_read_back() {
+    let scenario = scenario("moored", 20.0);
+    let truth = Truth::new(&scenario, 3).unwrap();
+    let mut imu = Imu::new(&scenario, 3);
+    let text = log_of(&scenario, 3);
+    let mut reader = LogReader::new(text.as_bytes(), "l.csv").unwrap();
+    assert_eq!(reader.nominal_dt_s(), None);
+    let mut other_ulp = 0;
+    for k in 1..=scenario.samples() {
+        let (t0, t1) = (scenario.time(k - 1), scenario.time(k));
+        let (dtheta, dv) = truth.increment(t0, t1);
+        let m = imu.measure(dtheta, dv, t1 - t0);
+        let row = reader.next().unwrap().unwrap();
+        assert_eq!((row.line, row.t_s, row.gap), (k + 1, t1, None));
+        assert!((row.dt_s - (t1 - t0)).abs() < 1e-15);
+        assert!((row.dtheta_s() - m.dtheta_s).norm() < 1e-11 * m.dtheta_s.norm());
+        assert!((row.dv_s() - m.dv_s).norm() < 1e-11 * m.dv_s.norm());
+        assert!((row.encoder - truth.rotor_angle(t1)).abs() < 1e-11 * row.encoder.abs());
+        other_ulp += u32::from(row.dtheta_s().cast::<f32>() != m.dtheta_s.cast::<f32>());
+    }
+    assert!(reader.next().is_none());
+    assert!((reader.nominal_dt_s().unwrap() - 0.01).abs() < 1e-12);
+    assert!(other_ulp < 5, "{other_ulp}");
+}
+
+#[test]
+fn columns_in_any_order_with_temperature_and_strangers() {
+    let text = "\u{feff}encoder_rad, temperature_c ,\"t_s\",note,gyro_z_rad_s,gyro_y_rad_s,gyro_x_rad_s,accel_z_m_s2,\
+                accel_y_m_s2,accel_x_m_s2\r\n\
+                8,25.5,0.5,hello,3,2,1,6,5,4\r\n\
+                \r\n\
+                8.5,26,1.0,,3,2,1,6,\"5\",4\r\n";
+    let rows: Vec<_> = rows(text).into_iter().map(Result::unwrap).collect();
+    assert_eq!(rows.len(), 2);
+    assert_eq!(rows[0].w_is_s.to_array(), [1.0, 2.0, 3.0]);
+    assert_eq!(rows[0].f_is_s.to_array(), [4.0, 5.0, 6.0]);
+    assert_eq!((rows[0].encoder, rows[0].temperature_c), (8.0, Some(25.5)));
+    assert_eq!((rows[0].dt_s, rows[1].dt_s), (0.5, 0.5));
+    assert_eq!((rows[0].line, rows[1].line), (2, 4));
+}
+
+#[test]
+fn gaps_are_told_and_kept_out_of_the_first_interval() {
+    let mut lines: Vec<_> = good(100).lines().map(str::to_owned).collect();
+    lines.drain(50..53);
+    lines.remove(2);
+    let rows: Vec<_> = rows(lines.join("\n") + "\n").into_iter().map(Result::unwrap).collect();
+    assert!((rows[0].dt_s - 0.01).abs() < 1e-12);
+    assert_eq!(rows[0].gap, None);
+    assert_eq!(rows[1].gap.unwrap().missing, 1);
+    assert!((rows[1].dt_s - 0.02).abs() < 1e-12);
+    let gaps: Vec<_> = rows.iter().filter_map(|row| row.gap).collect();
+    assert_eq!(gaps.len(), 2);
+    assert_eq!((gaps[1].missing, gaps[1].after_s), (3, 0.49));
+}
+
+#[test]
+fn headers_that_cannot_be() {
+    assert_eq!(
+        message(""),
+        "l.csv: the file is empty: a log starts with a header that names its columns"
+    );
+    assert_eq!(
+        message("\n\n"),
+        "l.csv: the file is empty: a log starts with a header that names its columns"
+    );
+    assert_eq!(
+        message("t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2\n"),
+        "l.csv:1: column missing: encoder_rad; the header must name them"
+    );
+    assert_eq!(
+        message("t_s,gx,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2,enc\n"),
+        "l.csv:1: columns missing: gyro_x_rad_s, encoder_rad; the header must name them"
+    );
+    assert_eq!(
+        message(format!("{HEADER},t_s\n")),
+        "l.csv:1: column t_s appears twice: remove one"
+    );
+    assert_eq!(
+        message("0.01,1,2,3,4,5,6,7\n"),
+        format!("l.csv:1: no header: the first line must name the columns {HEADER}")
+    );
+    assert_eq!(
+        message(b"\x1f\x8b\x08\x00 and so on"),
+        "l.csv:1: the file is compressed: unpack it first (gunzip)"
+    );
+    assert_eq!(
+        message(b"t_s,\xff\n"),
+        "l.csv:1: byte 5 of the line is not UTF-8 text: not a log in CSV"
+    );
+    let missing = LogReader::open(Path::new("/nonexistent/l.csv"))
+        .unwrap_err()
+        .to_string();
+    assert!(missing.starts_with("/nonexistent/l.csv: cannot read: "), "{missing}");
+    assert!(!missing.contains('\n'));
+}
+
+#[test]
+fn logs_too_short() {
+    assert_eq!(
+        message(HEADER),
+        "l.csv:1: no rows after the header: nothing was recorded"
+    );
+    assert_eq!(
+        message(good(0)),
+        "l.csv:1: no rows after the header: nothing was recorded"
+    );
+    assert_eq!(
+        message(good(1)),
+        "l.csv:2: a single row: its interval is unknown, two rows are the least"
+    );
+    assert_eq!(rows(good(2)).len(), 2);
+}
+
+#[test]
+fn rows_that_cannot_be() {
+    assert_eq!(
+        message_after("0.04,0.1,abc,0.3,0.1,0.2,9.8,0.01\n"),
+        "l.csv:5: gyro_y_rad_s: `abc` is not a finite number"
+    );
+    assert_eq!(
+        message_after("0.04,0.1,0.1,0.3,NaN,0.2,9.8,0.01\n"),
+        "l.csv:5: accel_x_m_s2: `NaN` is not a finite number"
+    );
+    assert_eq!(
+        message_after("0.04,0.1,0.1,0.3,0.1,0.2,9.8,-inf\n"),
+        "l.csv:5: encoder_rad: `-inf` is not a finite number"
+    );
+    assert_eq!(
+        message_after("0.04,0.1,0.1,0.3,0.1,0.2,9.8,\n"),
+        "l.csv:5: encoder_rad: empty where a number must be"
+    );
+    assert_eq!(
+        message_after("0.04,1e40,0.1,0.3,0.1,0.2,9.8,0\n"),
+        "l.csv:5: gyro_x_rad_s: 1e40 is beyond any sensor"
+    );
+    assert_eq!(
+        message_after("0.02,0.1,0.1,0.3,0.1,0.2,9.8,0.01\n"),
+        "l.csv:5: t_s goes from 0.03 to 0.02: it must grow from row to row"
+    );
+    assert_eq!(
+        message_after("0.03,0.1,0.1,0.3,0.1,0.2,9.8,0.01\n"),
+        "l.csv:5: t_s goes from 0.03 to 0.03: it must grow from row to row"
+    );
+    assert_eq!(
+        message_after("0.04,0.1,0.1\n"),
+        "l.csv:5: 3 fields where the header has 8: remove the row or repair it"
+    );
+    assert_eq!(
+        message_after("oops\n"),
+        "l.csv:5: 1 field where the header has 8: remove the row or repair it"
+    );
+    let long = format!("0.04,{}\n", "1".repeat(100));
+    assert_eq!(
+        message_after(&format!("{long}0.05\n")),
+        "l.csv:5: 2 fields where the header has 8: remove the row or repair it"
+    );
+    let text = format!("0.04,{},0,0,0,0,0,0\n", "x".repeat(100));
+    assert_eq!(
+        message_after(&text),
+        format!("l.csv:5: gyro_x_rad_s: `{}…` is not a finite number", "x".repeat(32))
+    );
+    let mut bytes = good(3).into_bytes();
+    bytes.extend(b"0.04,0.1,0.1,0.3,0.1,0.2,\xc3\x28,0.01\n");
+    assert_eq!(
+        message(bytes),
+        "l.csv:5: byte 26 of the line is not UTF-8 text: not a log in CSV"
+    );
+    // The rows before the error are given.
+    assert_eq!(rows(good(3) + "oops\n").iter().filter(|row| row.is_ok()).count(), 3);
+}
+
+#[test]
+fn truncated_logs() {
+    let truncated = "l.csv:5: the file ends inside this row: copy the log again, or remove the row";
+    let row = "0.04,0.1,0.2,0.349,0.1,0.2,9.8,0.0140";
+    // Wherever it is cut; the last number has four decimals in every row before it.
+    for cut in 1..row.len() {
+        assert_eq!(message_after(&row[..cut]), truncated, "{cut}");
+    }
+    // A file whose last line merely lacks its feed is whole …
+    assert_eq!(rows(good(3) + row).into_iter().filter(Result::is_ok).count(), 4);
+    // … and a wrong number in it is a wrong number.
+    assert_eq!(
+        message_after("0.04,0.1,abc,0.349,0.1,0.2,9.8,0.0140"),
+        "l.csv:5: gyro_y_rad_s: `abc` is not a finite number"
+    );
+}
+
+/// A file of one endless line, of which no more may be read than a line's limit.
+#[derive(Debug)]
+struct Endless {
+    byte: u8,
+    given: usize,
+}
+
+impl io::Read for Endless {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.given += buffer.len();
+        assert!(self.given < 1 << 20, "slurped");
+        buffer.fill(self.byte);
+        Ok(buffer.len())
+    }
+}
+
+#[test]
+fn endless_lines_are_not_slurped() {
+    for byte in [b'1', b',', b' ', 0, 0xff] {
+        let error = LogReader::new(BufReader::new(Endless { byte, given: 0 }), "l.csv").unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "l.csv:1: the line is longer than 4096 bytes: not a log in CSV"
+        );
+    }
+    let text = good(3) + &"9".repeat(5000);
+    assert_eq!(
+        message(text),
+        "l.csv:5: the line is longer than 4096 bytes: not a log in CSV"
+    );
+}
+
+#[test]
+fn built_in_scenarios_pass_without_a_warning() {
+    for name in Scenario::builtin_names() {
+        for seed in 0..3 {
+            assert_eq!(check(&log_of(&scenario(name, 45.0), seed)), Ok(vec![]), "{name} {seed}");
+        }
+    }
+    // So do a perfect unit at rest, whose accelerometers never change, and a short log.
+    let mut still = Scenario::default();
+    still.run.duration_s = 40.0;
+    assert_eq!(check(&log_of(&still, 0)), Ok(vec![]));
+    assert_eq!(check(&log_of(&scenario("paper-sim", 5.0), 1)), Ok(vec![]));
+}
+
+#[test]
+fn a_coarse_sensor_is_not_a_frozen_one() {
+    let mut scenario = scenario("paper-sim", 60.0);
+    // 16 bit at ±2000 °/s and ±16 g.
+    scenario.errors.gyro_quantum = 1.065e-5;
+    scenario.errors.accel_quantum = 4.79e-5;
+    let text = changed(&log_of(&scenario, 1), |_, v| {
+        for (v, lsb) in v[1..7].iter_mut().zip([1.065e-3; 3].into_iter().chain([4.79e-3; 3])) {
+            *v = (*v / lsb).round() * lsb;
+        }
+    });
+    assert_eq!(check(&text), Ok(vec![]));
+}
+
+#[test]
+fn units_of_the_accelerometers() {
+    let text = log_of(&scenario("paper-sim", 15.0), 1);
+    let scaled = |factor: f64| check(&changed(&text, |_, v| v[4..7].iter_mut().for_each(|v| *v *= factor)));
+    assert_eq!(
+        scaled(1.0 / 9.80665).unwrap_err(),
+        "l.csv:2: the accelerometers read 0.999 on average where gravity is 9.8 m/s²: they look like g, multiply by \
+         9.80665"
+    );
+    assert_eq!(
+        scaled(1000.0 / 9.80665).unwrap_err(),
+        "l.csv:2: the accelerometers read 999.474 on average where gravity is 9.8 m/s²: they look like mg, multiply \
+         by 0.00980665"
+    );
+    assert!(scaled(100.0).unwrap_err().contains("look like cm/s², multiply by 0.01"));
+    assert!(
+        scaled(1.0 / 0.3048)
+            .unwrap_err()
+            .contains("look like ft/s², multiply by 0.3048")
+    );
+    assert_eq!(
+        scaled(0.0).unwrap_err(),
+        "l.csv:2: the accelerometers read 0.000 on average where gravity is 9.8 m/s²: wrong unit or a broken axis"
+    );
+    // Also where the log is shorter than the window.
+    let short: String = text.lines().take(100).map(|line| format!("{line}\n")).collect();
+    assert!(
+        check(&changed(&short, |_, v| v[6] *= 2.0))
+            .unwrap_err()
+            .contains("wrong unit or a broken axis")
+    );
+}
+
+#[test]
+fn units_and_signs_of_gyro_and_encoder() {
+    for seed in 0..10 {
+        let text = log_of(&scenario("paper-sim", 25.0), seed);
+        let with = |gyro: f64, encoder: f64| {
+            check(&changed(&text, |_, v| {
+                v[1..4].iter_mut().for_each(|v| *v *= gyro);
+                v[7] *= encoder;
+            }))
+        };
+        assert_eq!(with(1.0, 1.0), Ok(vec![]));
+        let gyro = with(1.0 / DEG, 1.0).unwrap_err();
+        assert!(
+            gyro.starts_with("l.csv:2: gyro_z_rad_s is 5")
+                && gyro.ends_with(" times the encoder's rate: the gyros look like °/s, multiply by 0.0174533"),
+            "{gyro}"
+        );
+        let encoder = with(1.0, 1.0 / DEG).unwrap_err();
+        assert!(
+            encoder.starts_with("l.csv:2: encoder_rad turns at 19.")
+                && encoder.ends_with(" a second: it looks like degrees, multiply by 0.0174533"),
+            "{encoder}"
+        );
+        assert_eq!(with(1.0 / DEG, 1.0 / DEG).unwrap_err(), encoder);
+        assert_eq!(
+            with(1.0, -1.0).unwrap_err(),
+            "l.csv:2: gyro_z_rad_s and encoder_rad turn in opposite directions: both are positive counter-clockwise \
+             from above, change the sign of the wrong one"
+        );
+        let doubtful = with(3.0, 1.0).unwrap();
+        assert!(
+            doubtful[0].starts_with("l.csv:2: gyro_z_rad_s is ") && doubtful.len() == 1,
+            "{doubtful:?}"
+        );
+    }
+}
+
+#[test]
+fn encoders_that_wrap_are_welcome() {
+    let mut scenario = scenario("paper-sim", 60.0);
+    scenario.rotor.travel_deg = 720.0;
+    let text = log_of(&scenario, 1);
+    assert_eq!(
+        check(&changed(&text, |_, v| v[7] %= core::f64::consts::TAU)),
+        Ok(vec![])
+    );
+}
+
+#[test]
+fn encoders_that_do_not_turn() {
+    let text = log_of(&scenario("paper-sim", 30.0), 1);
+    let message = check(&changed(&text, |_, v| v[7] = 1.25)).unwrap_err();
+    assert!(
+        message.starts_with("l.csv:2: encoder_rad stands still at 1.2500 while gyro z turned by 3."),
+        "{message}"
+    );
+    // It may also stop later.
+    let message = check(&changed(&text, |k, v| {
+        if k > 500 {
+            v[7] = 1.25;
+        }
+    }))
+    .unwrap_err();
+    assert!(
+        message.starts_with("l.csv:1002: encoder_rad stands still at 1.2500"),
+        "{message}"
+    );
+    // Nothing turns at all.
+    let mut still = scenario("paper-sim", 30.0);
+    still.rotor.rate_dps = 0.0;
+    assert_eq!(
+        check(&log_of(&still, 1)).unwrap_err(),
+        "l.csv:3001: encoder_rad never turned: the rotor stood still, or the encoder was not connected"
+    );
+}
+
+#[test]
+fn a_rotor_may_start_late() {
+    // 20 s at rest, then the rotor's first turn.
+    let mut still = scenario("paper-sim", 20.0);
+    still.rotor.rate_dps = 0.0;
+    let mut text = log_of(&still, 1);
+    for line in log_of(&scenario("paper-sim", 20.0), 1).lines().skip(1) {
+        let (t, rest) = line.split_once(',').unwrap();
+        text += &format!("{},{rest}\n", t.parse::<f64>().unwrap() + 20.0);
+    }
+    assert_eq!(check(&text), Ok(vec![]));
+}
+
+#[test]
+fn times_that_are_not_seconds() {
+    let text = log_of(&scenario("paper-sim", 5.0), 1);
+    assert_eq!(
+        check(&changed(&text, |_, v| v[0] *= 1e3)).unwrap_err(),
+        "l.csv:2: t_s grows by 1.000e1 from row to row: it must be in seconds, with 5 to 20000 rows a second"
+    );
+}
+
+#[test]
+fn saturation_and_frozen_channels() {
+    let clipped = |range: Option<f64>, accel: Option<f64>| {
+        let mut scenario = scenario("paper-sim", 30.0);
+        scenario.errors.gyro_range_dps = range;
+        scenario.errors.accel_range_g = accel;
+        check(&log_of(&scenario, 1))
+    };
+    assert_eq!(clipped(Some(60.0), Some(2.0)), Ok(vec![]));
+    let gyro = clipped(Some(30.0), None).unwrap_err();
+    assert!(
+        gyro.contains(": gyro_z_rad_s: saturated at 0.5235987755")
+            && gyro.ends_with(": angle is lost, use a wider range"),
+        "{gyro}"
+    );
+    let accel = clipped(None, Some(0.995)).unwrap();
+    assert_eq!(accel.len(), 1);
+    assert!(
+        accel[0].contains(": accel_z_m_s2: saturated at 9.757616")
+            && accel[0].ends_with(" times in the log; the first is here"),
+        "{accel:?}"
+    );
+    let text = log_of(&scenario("paper-sim", 30.0), 1);
+    let frozen = check(&changed(&text, |k, v| {
+        if (1000..1050).contains(&k) {
+            v[1] = 0.01;
+        }
+    }));
+    assert_eq!(
+        frozen.unwrap_err(),
+        "l.csv:1002: gyro_x_rad_s: frozen at 0.01: angle is lost, the sensor or its bus failed"
+    );
+    let frozen = check(&changed(&text, |k, v| {
+        if (1000..1050).contains(&k) || (2000..2020).contains(&k) {
+            v[4] = 0.01;
+        }
+    }));
+    assert_eq!(
+        frozen.unwrap(),
+        ["l.csv:1002: accel_x_m_s2: repeats at 0.01, 2 times in the log; the first is here"]
+    );
+}
+
+#[test]
+fn gaps_are_counted() {
+    let text = log_of(&scenario("paper-sim", 30.0), 1);
+    let keep = |k: usize| k != 100 && !(1000..1020).contains(&k);
+    let text: String = text
+        .lines()
+        .enumerate()
+        .filter(|(k, _)| keep(*k))
+        .map(|(_, line)| format!("{line}\n"))
+        .collect();
+    assert_eq!(
+        check(&text).unwrap(),
+        ["l.csv:101: 2 gaps with 21 rows missing, the longest 0.210 s; the first is here"]
+    );
+}
+
+#[test]
+fn nothing_to_check() {
+    assert_eq!(
+        Checker::new("l.csv").finish().unwrap_err().to_string(),
+        "l.csv: no rows after the header: nothing was recorded"
+    );
+}
+
+/// Reads and checks whatever it is; says whether all errors were one line.
+fn survives(bytes: &[u8]) -> bool {
+    let mut checker = Checker::new("l.csv");
+    let Ok(reader) = LogReader::new(bytes, "l.csv").map_err(|e| assert!(!e.to_string().contains('\n'))) else {
+        return true;
+    };
+    for row in reader {
+        match row {
+            Ok(row) => {
+                if let Err(error) = checker.push(&row) {
+                    return !error.to_string().contains('\n');
+                }
+            }
+            Err(error) => return !error.to_string().contains('\n'),
+        }
+    }
+    match checker.finish() {
+        Ok(warnings) => warnings.iter().all(|warning| !warning.to_string().contains('\n')),
+        Err(error) => !error.to_string().contains('\n'),
+    }
+}
+
+proptest! {
+    #[test]
+    fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
+        prop_assert!(survives(&bytes));
+    }
+
+    #[test]
+    fn arbitrary_bytes_after_a_header_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
+        let mut text = good(2).into_bytes();
+        text.extend(&bytes);
+        prop_assert!(survives(&text));
+    }
+
+    #[test]
+    fn arbitrary_edits_never_panic(
+        edits in prop::collection::vec((0..3000_usize, prop::sample::select(b"0123456789.,-+eE\n\r naif\"".to_vec())), 0..20),
+    ) {
+        let mut text = good(60).into_bytes();
+        for (at, byte) in edits {
+            let at = at % text.len();
+            text[at] = byte;
+        }
+        prop_assert!(survives(&text));
+    }
+
+    #[test]
+    fn arbitrary_numbers_never_panic(values in prop::collection::vec(prop::array::uniform8(-1e6..1e6_f64), 2..50)) {
+        let mut text = format!("{HEADER}\n");
+        let mut t = 0.0;
+        for mut row in values {
+            t += row[0].abs() * 1e-6 + 1e-9;
+            row[0] = t;
+            text += &row.map(|v| format!("{v:e}")).join(",");
+            text.push('\n');
+        }
+        prop_assert!(survives(text.as_bytes()));
+    }
+}
