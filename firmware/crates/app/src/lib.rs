@@ -1,0 +1,2 @@
+//! The application of a rotary IMU unit, generic over its hardware.
+#![no_std]
