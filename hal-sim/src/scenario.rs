@@ -39,6 +39,11 @@ table! {
             duration_s: f64 = 300.0, [0.1, 360000.0];
             /// Samples a second.
             rate_hz: f64 = 100.0, [10.0, 10000.0];
+            /// First time of the coarse alignment that is reported beside the unit's own (\[Xing18\] (17)), s. Absent:
+            /// a sixth of the run.
+            coarse_t_k1_s: Option<f64> = None, [0.1, 360000.0];
+            /// Second time, s. Absent: five sixths of the run.
+            coarse_t_k2_s: Option<f64> = None, [0.1, 360000.0];
         }
         tables {}
     }
@@ -369,6 +374,15 @@ impl Scenario {
             travel: self.rotor.travel_deg * DEG,
             acceleration: self.rotor.acceleration_dps2 * DEG,
         })
+    }
+
+    /// The two times of the coarse alignment over the whole run, s.
+    pub fn coarse_times(&self) -> (f64, f64) {
+        let sixth = self.run.duration_s / 6.0;
+        (
+            self.run.coarse_t_k1_s.unwrap_or(sixth),
+            self.run.coarse_t_k2_s.unwrap_or(5.0 * sixth),
+        )
     }
 
     /// Number of samples in the run.

@@ -22,7 +22,7 @@ use heapless::Deque;
 use crate::{
     coarse::{Coarse, CoarseError, CoarsePoint, CoarseSolution},
     earth::{Earth, EarthError},
-    fine::{BA, BG, FilterConfig, FilterConfigError, FineFilter, Innovation, PHI},
+    fine::{BA, BG, FilterConfig, FilterConfigError, FineFilter, Innovation},
     increment::{Compensator, Decimator, Increment, Sample},
     rotor::RotorConfig,
 };
@@ -581,7 +581,7 @@ impl<T: Real, const N: usize> Aligner<T, N> {
         }
         let c_nb = c_ns * self.c_sb;
         let p = filter.covariance();
-        let p_phi = p.block(PHI, PHI);
+        let p_phi = filter.phi_covariance();
         let sd_along = |j: Vec3<Nav, T>| math::sqrt((p_phi * j.vector()).dot(&j.vector()).max(T::zero()));
         let [heading, pitch, roll] = Attitude::jacobian(&c_nb).map(sd_along);
         let sd_of = |block: usize| Vec3::from_vector(p.variances(block).map(|v| math::sqrt(v.max(T::zero()))));
