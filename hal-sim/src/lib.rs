@@ -1,10 +1,21 @@
-//! x
-#![allow(missing_docs, reason = "skeleton")]
+//! Simulator of a rotary MEMS IMU unit.
+//!
+//! ```text
+//! scenario ─► truth ─► sensors ─┬─► nav::aligner ─► simulate ─► monte_carlo, plot, report
+//!                               └─► log ─► replay ─► nav::aligner
+//! device: the same sensors as chips on buses
+//! ```
+//!
+//! Truth is closed-form in f64 and its increments are exact; errors are drawn from one seed; the core is
+//! the firmware's own, in f32. Frames, signs and names are those of [`frames`].
 
 pub mod align;
 pub mod device;
 pub mod log;
 pub mod monte_carlo;
+pub mod plot;
+pub mod replay;
+pub mod report;
 pub mod scenario;
 pub mod sensors;
 pub mod simulate;

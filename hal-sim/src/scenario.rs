@@ -273,16 +273,24 @@ impl Scenario {
     /// # Errors
     /// [`ConfigProblem::UnknownScenario`] with the names there are.
     pub fn builtin(name: &str) -> Result<Self, ConfigError> {
-        let (_, text) = BUILTIN
+        Self::parse(Self::builtin_text(name)?, name)
+    }
+
+    /// The TOML of a built-in scenario.
+    ///
+    /// # Errors
+    /// [`ConfigProblem::UnknownScenario`] with the names there are.
+    pub fn builtin_text(name: &str) -> Result<&'static str, ConfigError> {
+        BUILTIN
             .iter()
             .find(|(builtin, _)| *builtin == name)
+            .map(|(_, text)| *text)
             .ok_or_else(|| ConfigError {
                 file: name.to_owned(),
                 line: None,
                 key: None,
                 problem: ConfigProblem::UnknownScenario(Self::builtin_names().collect::<Vec<_>>().join(", ")),
-            })?;
-        Self::parse(text, name)
+            })
     }
 
     /// Reads a scenario file.

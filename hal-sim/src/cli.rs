@@ -1,0 +1,528 @@
+//! Commands, their arguments and what they print.
+//!
+//! Results go to stdout, progress and warnings to stderr. Exit codes: 0 aligned, 1 not aligned, 2 bad input.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write as _};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand};
+use hal_sim::align::{Angles, Method, Setup};
+use hal_sim::log::{LogRow, LogWarning, LogWriter};
+use hal_sim::monte_carlo::{self, Statistics};
+use hal_sim::replay::{self, Replay};
+use hal_sim::report;
+use hal_sim::scenario::Scenario;
+use hal_sim::simulate::{self, Moment, Row, RunResult};
+use hal_sim::unit::Unit;
+use indicatif::{ProgressBar, ProgressStyle};
+use nav::rotor::RotorConfig;
+
+/// Not aligned, or a result the unit does not stand by.
+const NOT_ALIGNED: u8 = 1;
+/// A file, a scenario or an argument that cannot be used.
+const BAD_INPUT: u8 = 2;
+
+/// Simulates a rotary MEMS IMU unit that finds true north on a swinging base, and replays recorded logs.
+///
+/// Without a command: `run`.
+#[derive(Parser)]
+#[command(name = "hal-sim", version, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Option<Command>,
+    /// No progress bar
+    #[arg(long, short, global = true)]
+    quiet: bool,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Simulate one run and report it
+    Run(RunArgs),
+    /// Simulate many runs and report their statistics
+    MonteCarlo(MonteCarloArgs),
+    /// Run the core on a recorded log
+    Replay(ReplayArgs),
+    /// List the built-in scenarios, or print one as a start for your own
+    Scenarios {
+        /// Name of the scenario to print
+        name: Option<String>,
+    },
+}
+
+#[derive(Args)]
+struct RunArgs {
+    /// Built-in scenario, or a TOML file
+    #[arg(long, short, default_value = "paper-sim")]
+    scenario: String,
+    /// Seed of every chance in the run
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Length of the run, s, instead of the scenario's
+    #[arg(long, value_name = "S")]
+    seconds: Option<f64>,
+    /// Fine filter
+    #[arg(long, value_enum, default_value = "kf")]
+    method: Method,
+    /// Write the samples as a CSV log that `replay` reads
+    #[arg(long, value_name = "FILE")]
+    log: Option<PathBuf>,
+    /// Folder for the report
+    #[arg(long, value_name = "DIR", default_value = "report")]
+    report: PathBuf,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+impl Default for RunArgs {
+    fn default() -> Self {
+        Self {
+            scenario: "paper-sim".to_owned(),
+            seed: 1,
+            seconds: None,
+            method: Method::Kf,
+            log: None,
+            report: PathBuf::from("report"),
+            json: false,
+        }
+    }
+}
+
+#[derive(Args)]
+struct MonteCarloArgs {
+    /// Built-in scenario, or a TOML file
+    #[arg(long, short, default_value = "paper-sim")]
+    scenario: String,
+    /// Number of runs
+    #[arg(long, short = 'n', default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    runs: u64,
+    /// Master seed
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Length of a run, s, instead of the scenario's
+    #[arg(long, value_name = "S")]
+    seconds: Option<f64>,
+    /// Fine filters, each on the same runs; `fine` in the JSON is the first
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "kf")]
+    method: Vec<Method>,
+    /// Folder for the report
+    #[arg(long, value_name = "DIR", default_value = "report")]
+    report: PathBuf,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
+struct ReplayArgs {
+    /// CSV log: t_s, gyro_x/y/z_rad_s, accel_x/y/z_m_s2, encoder_rad by header, in any order
+    log: PathBuf,
+    /// Geodetic latitude of the place, degrees, north positive
+    #[arg(long, value_name = "L", allow_negative_numbers = true)]
+    latitude_deg: f64,
+    /// Height above the ellipsoid, m
+    #[arg(long, value_name = "H", default_value_t = 0.0, allow_negative_numbers = true)]
+    height_m: f64,
+    /// Noise and bias figures of the IMU [default: [Xing18] Table 2]
+    #[arg(long, value_name = "UNIT.toml")]
+    unit: Option<PathBuf>,
+    /// Fine filter
+    #[arg(long, value_enum, default_value = "kf")]
+    method: Method,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Parses the command line and does what it says.
+pub(crate) fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let done = match cli.command.unwrap_or(Command::Run(RunArgs::default())) {
+        Command::Run(args) => run(&args, cli.quiet),
+        Command::MonteCarlo(args) => monte_carlo(&args, cli.quiet),
+        Command::Replay(args) => replay(&args, cli.quiet),
+        Command::Scenarios { name } => scenarios(name.as_deref()),
+    };
+    done.unwrap_or_else(|message| {
+        eprintln!("error: {message}");
+        ExitCode::from(BAD_INPUT)
+    })
+}
+
+type Done = Result<ExitCode, String>;
+
+fn words(error: impl core::fmt::Display) -> String {
+    error.to_string()
+}
+
+/// Writes to stdout; a reader that has gone away is not an error of ours.
+fn print(text: &str) -> Result<(), String> {
+    match io::stdout().lock().write_all(text.as_bytes()) {
+        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(format!("cannot write to stdout: {e}")),
+        _ => Ok(()),
+    }
+}
+
+fn print_json(value: &impl serde::Serialize) -> Result<(), String> {
+    let text = serde_json::to_string_pretty(value).map_err(words)?;
+    print(&format!("{text}\n"))
+}
+
+fn scenario(name: &str, seconds: Option<f64>) -> Result<Scenario, String> {
+    let mut scenario = if Scenario::builtin_names().any(|builtin| builtin == name) || !Path::new(name).exists() {
+        Scenario::builtin(name)
+    } else {
+        Scenario::load(Path::new(name))
+    }
+    .map_err(words)?;
+    if let Some(seconds) = seconds {
+        scenario.run.duration_s = seconds;
+        scenario.validate().map_err(|e| format!("--seconds: {e}"))?;
+    }
+    Ok(scenario)
+}
+
+fn bar(length: u64, unit: &str, quiet: bool) -> ProgressBar {
+    if quiet {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template(&format!("{{bar:40}} {{pos}}/{{len}} {unit}, {{eta}} left"))
+        .unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::new(length).with_style(style)
+}
+
+/// Prints what happens in a run, and keeps what its report needs.
+struct RunObserver {
+    bar: ProgressBar,
+    quiet: bool,
+    moments: Vec<Moment>,
+    rotor: Vec<(f64, f64)>,
+    log: Option<LogWriter<BufWriter<File>>>,
+    log_error: Option<io::Error>,
+    samples: u64,
+}
+
+impl simulate::Observer for RunObserver {
+    fn sample(&mut self, row: &Row) {
+        self.samples += 1;
+        if self.samples.is_multiple_of(10) {
+            self.rotor.push((row.t, row.encoder / frames::units::DEG));
+        }
+        if self.samples.is_multiple_of(1000) {
+            self.bar.set_position(row.t as u64);
+        }
+        if let Some(log) = &mut self.log
+            && self.log_error.is_none()
+        {
+            let s = &row.sample;
+            self.log_error = log.write(row.t, s.dt, s.dtheta_s, s.dv_s, row.encoder, None).err();
+        }
+    }
+
+    fn event(&mut self, t: f64, event: &str) {
+        told(&self.bar, self.quiet, t, event);
+    }
+
+    fn moment(&mut self, moment: &Moment) {
+        self.moments.push(*moment);
+    }
+}
+
+/// One line of what happened when, above the progress bar.
+fn told(bar: &ProgressBar, quiet: bool, t: f64, event: &str) {
+    if !quiet {
+        bar.suspend(|| eprintln!("{t:8.2} s  {event}"));
+    }
+}
+
+fn run(args: &RunArgs, quiet: bool) -> Done {
+    let scenario = scenario(&args.scenario, args.seconds)?;
+    let log = match &args.log {
+        None => None,
+        Some(path) => {
+            Some(LogWriter::create(path, false).map_err(|e| format!("cannot write {}: {e}", path.display()))?)
+        }
+    };
+    if !quiet {
+        eprintln!("{}, seed {}: {}", scenario.name, args.seed, scenario.description);
+    }
+    let mut observer = RunObserver {
+        bar: bar(scenario.run.duration_s as u64, "s", quiet),
+        quiet,
+        moments: Vec::new(),
+        rotor: Vec::new(),
+        log,
+        log_error: None,
+        samples: 0,
+    };
+    let result = simulate::run::<f32>(&scenario, args.seed, args.method, &mut observer).map_err(words)?;
+    observer.bar.finish_and_clear();
+    if let (Some(path), Some(log)) = (&args.log, observer.log) {
+        let finished = observer.log_error.map_or_else(|| log.finish().map(drop), Err);
+        finished.map_err(|e| format!("cannot write {}: {e}", path.display()))?;
+    }
+    let dir = args.report.join(format!("{}-seed{}", scenario.name, args.seed));
+    report::run(&dir, &result, &observer.moments, &observer.rotor).map_err(words)?;
+    if args.json {
+        print_json(&result)?;
+    } else {
+        print(&run_table(&result))?;
+        print(&format!("report: {}\n", dir.display()))?;
+    }
+    Ok(exit(result.state))
+}
+
+fn exit(state: &str) -> ExitCode {
+    if state == "aligned" {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(NOT_ALIGNED)
+    }
+}
+
+/// One of three angles.
+type AngleOf = fn(&Angles) -> f64;
+
+/// The closing table of a run.
+fn run_table(result: &RunResult) -> String {
+    let mut text = match (result.aligned_at_s, &result.reason) {
+        (Some(t), None) => format!("{} since {t:.1} s ({})\n", result.state, result.method.name()),
+        (_, reason) => {
+            format!(
+                "{} ({}): {}\n",
+                result.state,
+                result.method.name(),
+                reason.as_deref().unwrap_or("no estimate")
+            )
+        }
+    };
+    if let Some(coarse) = &result.coarse {
+        text += &format!(
+            "coarse alignment alone, over the whole run: heading error {:+.3}°, sd {:.3}°\n",
+            coarse.error.heading_deg, coarse.sd.heading_deg
+        );
+    }
+    let Some(last) = &result.last else { return text };
+    let Moment {
+        reading, truth, error, ..
+    } = last;
+    text += &format!(
+        "{:<16}{:>12}{:>12}{:>12}{:>12}\n",
+        "", "truth", "estimate", "error", "sd"
+    );
+    let angles: [(&str, AngleOf); 3] = [
+        ("heading (°)", |a| a.heading_deg),
+        ("pitch (°)", |a| a.pitch_deg),
+        ("roll (°)", |a| a.roll_deg),
+    ];
+    for (name, of) in angles {
+        text += &format!(
+            "{name:<16}{:>12.4}{:>12.4}{:>+12.4}{:>12.4}\n",
+            of(truth),
+            of(&reading.attitude),
+            of(error),
+            of(&reading.sd)
+        );
+    }
+    let biases = [
+        (
+            "gyro",
+            "°/h",
+            last.true_gyro_bias_deg_h,
+            reading.gyro_bias_deg_h,
+            reading.gyro_bias_sd_deg_h,
+        ),
+        (
+            "accel",
+            "µg",
+            last.true_accel_bias_ug,
+            reading.accel_bias_ug,
+            reading.accel_bias_sd_ug,
+        ),
+    ];
+    for (sensor, unit, truth, found, sd) in biases {
+        for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+            text += &format!(
+                "{:<16}{:>12.2}{:>12.2}{:>+12.2}{:>12.2}\n",
+                format!("{sensor} {name} ({unit})"),
+                truth[axis],
+                found[axis],
+                found[axis] - truth[axis],
+                sd[axis]
+            );
+        }
+    }
+    text
+}
+
+fn monte_carlo(args: &MonteCarloArgs, quiet: bool) -> Done {
+    let scenario = scenario(&args.scenario, args.seconds)?;
+    let mut methods = args.method.clone();
+    methods.dedup();
+    let bar = bar(args.runs, "runs", quiet);
+    let result = monte_carlo::run(&scenario, args.runs, args.seed, &methods, || bar.inc(1)).map_err(words)?;
+    bar.finish_and_clear();
+    let dir = args.report.join(format!("{}-monte-carlo", scenario.name));
+    report::monte_carlo(&dir, &result).map_err(words)?;
+    if args.json {
+        print_json(&result)?;
+    } else {
+        print(&monte_carlo_table(&result))?;
+        print(&format!("report: {}\n", dir.display()))?;
+    }
+    let aligned = result.by_method.iter().any(|m| m.aligned > 0);
+    Ok(exit(if aligned { "aligned" } else { "none" }))
+}
+
+/// The closing table of a Monte Carlo.
+fn monte_carlo_table(report: &monte_carlo::Report) -> String {
+    let mut text = format!(
+        "{}, {} runs of {} s, seed {}; angle random walk alone leaves {:.3}° of heading\n{:<18}{:>6}{:>10}{:>10}{:>10}{:>12}{:>14}\n",
+        report.scenario,
+        report.runs,
+        report.duration_s,
+        report.seed,
+        report.random_walk_limit_deg,
+        "",
+        "runs",
+        "mean (°)",
+        "sd (°)",
+        "rms (°)",
+        "predicted",
+        "(error/σ)²"
+    );
+    let mut rows = |name: &str, s: &Statistics| {
+        for (angle, spread) in [("heading", &s.heading), ("pitch", &s.pitch), ("roll", &s.roll)] {
+            text += &format!(
+                "{:<18}{:>6}{:>+10.4}{:>10.4}{:>10.4}{:>12.4}{:>14.2}\n",
+                format!("{name} {angle}"),
+                s.runs,
+                spread.mean_deg,
+                spread.sd_deg,
+                spread.rms_deg,
+                spread.predicted_sd_deg,
+                spread.normalised_squared
+            );
+        }
+    };
+    if let Some(coarse) = &report.coarse {
+        rows("coarse", coarse);
+    }
+    for method in &report.by_method {
+        if let Some(fine) = &method.fine {
+            rows(&format!("fine {}", method.method.name()), fine);
+        }
+    }
+    for method in &report.by_method {
+        text += &format!(
+            "{}: {} of {} aligned{}{}\n",
+            method.method.name(),
+            method.aligned,
+            report.runs,
+            method
+                .mean_time_to_aligned_s
+                .map(|t| format!(", after {t:.1} s in the mean"))
+                .unwrap_or_default(),
+            if method.inconsistent > 0 {
+                format!(
+                    "; {} refused: innovations do not fit a base that only swings",
+                    method.inconsistent
+                )
+            } else {
+                String::new()
+            }
+        );
+    }
+    text
+}
+
+/// Prints what happens in a replay.
+struct ReplayObserver {
+    bar: ProgressBar,
+    quiet: bool,
+    rows: u64,
+}
+
+impl replay::Observer for ReplayObserver {
+    fn row(&mut self, row: &LogRow) {
+        self.rows += 1;
+        if self.rows.is_multiple_of(10_000) {
+            self.bar.set_message(format!("{:.0} s", row.t_s));
+            self.bar.tick();
+        }
+    }
+
+    fn event(&mut self, t: f64, event: &str) {
+        told(&self.bar, self.quiet, t, event);
+    }
+
+    fn warning(&mut self, warning: &LogWarning) {
+        self.bar.suspend(|| eprintln!("warning: {warning}"));
+    }
+}
+
+fn replay(args: &ReplayArgs, quiet: bool) -> Done {
+    let unit = match &args.unit {
+        None => Unit::default(),
+        Some(path) => Unit::load(path).map_err(words)?,
+    };
+    let setup = Setup {
+        latitude_deg: args.latitude_deg,
+        height_m: args.height_m,
+        rotor: RotorConfig::default(),
+        unit,
+        method: args.method,
+    };
+    let bar = if quiet {
+        ProgressBar::hidden()
+    } else {
+        ProgressBar::new_spinner()
+    };
+    let mut observer = ReplayObserver { bar, quiet, rows: 0 };
+    let result = replay::replay(&args.log, &setup, &mut observer).map_err(words)?;
+    observer.bar.finish_and_clear();
+    if args.json {
+        print_json(&result)?;
+    } else {
+        print(&replay_table(&result))?;
+    }
+    Ok(exit(result.state))
+}
+
+fn replay_table(result: &Replay) -> String {
+    let mut text = format!("{} at {} s", result.state, result.t_s);
+    match &result.reason {
+        Some(reason) => text += &format!(": {reason}\n"),
+        None => text += "\n",
+    }
+    let rows = [
+        ("heading", result.heading_deg, result.heading_sd_deg),
+        ("pitch", result.pitch_deg, result.pitch_sd_deg),
+        ("roll", result.roll_deg, result.roll_sd_deg),
+    ];
+    for (name, value, sd) in rows {
+        if let (Some(value), Some(sd)) = (value, sd) {
+            text += &format!("{name:<10}{value:>10.3}°  sd {sd:.4}°\n");
+        }
+    }
+    if let (Some([gx, gy, gz]), Some([ax, ay, az])) = (result.gyro_bias_deg_h, result.accel_bias_ug) {
+        text += &format!("gyro bias  {gx:8.2} {gy:8.2} {gz:8.2} °/h\naccel bias {ax:8.1} {ay:8.1} {az:8.1} µg\n");
+    }
+    text
+}
+
+fn scenarios(name: Option<&str>) -> Done {
+    match name {
+        Some(name) => print(Scenario::builtin_text(name).map_err(words)?)?,
+        None => {
+            for name in Scenario::builtin_names() {
+                let scenario = Scenario::builtin(name).map_err(words)?;
+                print(&format!("{name:<22}{}\n", scenario.description))?;
+            }
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
