@@ -10,9 +10,11 @@
 //! the firmware's own, in f32. Frames, signs and names are those of [`frames`].
 
 pub mod align;
+pub mod bus;
 pub mod device;
 pub mod log;
 pub mod monte_carlo;
+pub mod plant;
 pub mod plot;
 pub mod replay;
 pub mod report;
