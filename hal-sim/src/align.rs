@@ -209,6 +209,7 @@ impl Reading {
 pub fn state_name<T: Real>(aligner: &Aligner<T>) -> &'static str {
     match (aligner.mode(), aligner.not_ready()) {
         (_, Some(NotReady::Inconsistent { .. })) => "inconsistent",
+        (_, Some(NotReady::Ambiguous { .. })) => "ambiguous",
         (Mode::Settling, _) => "settling",
         (Mode::Coarse, _) => "coarse",
         (Mode::CatchingUp, _) => "catching-up",
@@ -227,6 +228,14 @@ fn describe_not_ready<T: Real>(reason: &NotReady<T>) -> String {
         NotReady::Collecting { remaining } => format!("coarse alignment needs {:.1} s more", remaining.to_f64()),
         NotReady::CatchingUp { queued } => format!("{queued} increments wait for the fine filter"),
         NotReady::HeadingSd { sd } => format!("heading sd of {:.2}° is above the one set for aligned", deg(*sd)),
+        NotReady::Ambiguous {
+            heading_offset,
+            gyro_bias_z,
+        } => format!(
+            "the rotor's axis is tilted, and a heading {:+.1}° off with a z gyro bias of {:.1} °/h fits as well",
+            deg(*heading_offset),
+            gyro_bias_z.to_f64() / DEG_PER_HOUR
+        ),
         NotReady::Inconsistent { ratio } => format!(
             "innovations are {:.1} times what a base that only swings allows: it moves, or a sensor has changed",
             ratio.to_f64().sqrt()
@@ -256,7 +265,7 @@ fn describe_restart<T: Real>(reason: &Restart<T>) -> String {
     match reason {
         Restart::Coarse(e) => e.to_string(),
         Restart::Gap { length } => format!("{:.3} s without data", length.to_f64()),
-        Restart::BadSample => "a sample is not a number, or its interval is not positive".to_owned(),
+        Restart::BadSample => "a sample is not a number, or beyond any sensor's range".to_owned(),
         Restart::Diverged => "the fine filter diverged: the motion is nothing like a base that only swings".to_owned(),
     }
 }

@@ -73,6 +73,7 @@ fn draw(area: &Area<'_>, panel: &Panel<'_>, x_label: &str) -> Result<(), PlotErr
     let mut chart = ChartBuilder::on(area)
         .caption(panel.title, (FONT, 16))
         .margin(8)
+        .margin_right(24)
         .x_label_area_size(if x_label.is_empty() { 22 } else { 38 })
         .y_label_area_size(70)
         .build_cartesian_2d(start..end, low..high)?;
@@ -82,6 +83,7 @@ fn draw(area: &Area<'_>, panel: &Panel<'_>, x_label: &str) -> Result<(), PlotErr
         .bold_line_style(RGBColor(225, 225, 225))
         .x_desc(x_label)
         .y_desc(panel.unit)
+        .x_label_formatter(&|t| format!("{t:.0}"))
         .label_style((FONT, 13))
         .axis_desc_style((FONT, 14))
         .draw()?;
@@ -223,6 +225,7 @@ pub fn heading_histogram(path: &Path, title: &str, errors_deg: &[f64], predicted
         .bold_line_style(RGBColor(225, 225, 225))
         .x_desc("heading error (degrees)")
         .y_desc("runs")
+        .y_label_formatter(&|n| format!("{n:.0}"))
         .label_style((FONT, 13))
         .axis_desc_style((FONT, 14))
         .draw()?;

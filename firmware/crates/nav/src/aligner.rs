@@ -9,14 +9,19 @@
 //!
 //! While coarse alignment collects, every increment waits in a queue. Its result is carried back to
 //! the start (where s is ib0), and the fine filter takes the queue from there, a few increments a
-//! step, until it has caught up with the present. Nothing measured is thrown away, and a step never
-//! takes longer than its share. After that the queue holds at most one increment: replay and live run
-//! are the same code.
+//! step, so that a step never takes longer than its share. Nothing measured is thrown away.
+//!
+//! A filter is as good as the attitude it is linearised about, and coarse heading may be tens of
+//! degrees off where the rotor's axis is tilted and the z gyro's bias is not modulated away. So what the
+//! filter found is carried back as well: its attitude at the end of the queue, taken back to the start
+//! with the biases it found, and the filter starts over from there, with its priors as wide as before,
+//! until the start moves no more. Then it works off what has come in meanwhile and is live; from there
+//! on replay and live run are the same code.
 //!
 //! Purely a function of the samples: no clock, no logging, fixed memory. The capacity `N` must hold
 //! `t_k2` at [`AlignerConfig::decimate_to`]; [`Aligner::new`] checks it.
 
-use frames::{Attitude, AttitudeSd, Body, Nav, Real, Rot, Sensor, Vec3, math, units};
+use frames::{Attitude, AttitudeSd, Body, Nav, Real, Rot, RotIntegral, Sensor, Vec3, math, units};
 use heapless::Deque;
 
 use crate::{
@@ -27,11 +32,19 @@ use crate::{
     rotor::RotorConfig,
 };
 
-/// Queue length that holds the default configuration, 54.3 s at 20 Hz: 31 kB in f32.
-pub const QUEUE: usize = 1100;
+/// Queue length that holds the default configuration, 54.3 s at 20 Hz, and what comes in while that is
+/// replayed: 32 kB in f32.
+pub const QUEUE: usize = 1150;
 
-/// Increments the fine filter takes from the queue in one step.
-const REPLAY_PER_STEP: usize = 16;
+/// Increments taken from the queue in one step.
+const PER_STEP: usize = 64;
+
+/// Most times that the fine filter goes over the queue.
+const MOST_PASSES: u8 = 6;
+
+/// Heading of the start that one pass may still have moved, rad: the error of linearising about it is
+/// of second order, 1° of 1 rad makes 0.01°.
+const SETTLED: f64 = 1.0 * units::DEG;
 
 /// Figures of the aligner.
 ///
@@ -166,6 +179,14 @@ pub enum NotReady<T: Real = f32> {
         /// Its 1σ now, rad.
         sd: T,
     },
+    /// The rotor's axis is tilted, and another heading with another z gyro bias would explain all
+    /// innovations as well: level the unit, or align where the axis points elsewhere.
+    Ambiguous {
+        /// The other heading, as its difference to the one reported, clockwise, rad.
+        heading_offset: T,
+        /// The z gyro bias that goes with it, rad/s.
+        gyro_bias_z: T,
+    },
     /// Innovations are larger than the model allows: the base moves, or a sensor has changed. Attitude
     /// and σ must not be trusted.
     Inconsistent {
@@ -184,7 +205,7 @@ pub enum Restart<T: Real = f32> {
         /// How long, s.
         length: T,
     },
-    /// A sample that is not finite, or an interval that is not positive.
+    /// A sample that cannot be: see [`Sample::is_valid`].
     BadSample,
     /// The innovations were so far from the model that the filter's figures are no covariance any more.
     Diverged,
@@ -266,6 +287,31 @@ impl<T: Real> Consistency<T> {
     }
 }
 
+/// Where the fine filter is in the queue.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Replay<T: Real> {
+    /// Filtering the first `length` increments from `start`, `next` first.
+    Forward {
+        pass: u8,
+        start: Rot<Nav, Sensor, T>,
+        length: usize,
+        next: usize,
+    },
+    /// Adding up the turn over the same increments with the biases found, to carry the attitude back.
+    Back {
+        pass: u8,
+        start: Rot<Nav, Sensor, T>,
+        length: usize,
+        next: usize,
+        turn: RotIntegral<Sensor, Sensor, T>,
+        t: T,
+    },
+    /// The start has settled; working off what came in meanwhile.
+    Drain,
+    /// At the present.
+    Live,
+}
+
 /// The modes with what each of them holds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Stage<T: Real> {
@@ -279,7 +325,7 @@ enum Stage<T: Real> {
     Fine {
         filter: FineFilter<T>,
         consistency: Consistency<T>,
-        live: bool,
+        replay: Replay<T>,
         aligned: bool,
     },
 }
@@ -321,8 +367,8 @@ impl<T: Real, const N: usize> Aligner<T, N> {
             return Err(AlignerError::Times);
         }
         if decimate_to > zero {
-            // From the first catching-up step on the queue shrinks. One for the increment that is over t_k2,
-            // one for rounding.
+            // One for the increment that is over t_k2, one for rounding. What comes in during a replay is
+            // looked after there.
             let needed = t_k2 / decimate_to + T::lit(2.0);
             if needed > T::lit(N as f64) {
                 #[expect(
@@ -462,15 +508,29 @@ impl<T: Real, const N: usize> Aligner<T, N> {
         };
         let attitude = Attitude::from_rot(&(coarse.c_ns(&solution, &self.earth) * self.c_sb));
         let sd = coarse.attitude_sd(&solution, &self.earth, &self.config.filter.noise);
+        let start = solution.c_ns_at_start(&self.earth);
+        let length = self.queue.len();
+        self.start_over(start, length, 1)?;
+        Some(Event::CoarseDone { attitude, sd })
+    }
+
+    /// Sets the fine filter to the start of the queue, to go over `length` increments.
+    fn start_over(&mut self, start: Rot<Nav, Sensor, T>, length: usize, pass: u8) -> Option<()> {
         // The figures were checked when the aligner was made.
-        let filter = FineFilter::new(self.config.filter, self.earth, solution.c_ns_at_start(&self.earth)).ok()?;
+        let filter = FineFilter::new(self.config.filter, self.earth, start).ok()?;
+        let replay = Replay::Forward {
+            pass,
+            start,
+            length,
+            next: 0,
+        };
         self.stage = Stage::Fine {
             filter,
             consistency: Consistency::new(),
-            live: false,
+            replay,
             aligned: false,
         };
-        Some(Event::CoarseDone { attitude, sd })
+        Some(())
     }
 
     /// Lets the fine filter have its share of the queue.
@@ -478,28 +538,88 @@ impl<T: Real, const N: usize> Aligner<T, N> {
         let Stage::Fine {
             filter,
             consistency,
-            live,
+            replay,
             ..
         } = &mut self.stage
         else {
             return None;
         };
         let mut measured = false;
-        for _ in 0..REPLAY_PER_STEP {
-            let Some(increment) = self.queue.pop_front() else { break };
-            if let Some(innovation) = filter.step(&increment) {
-                if !(filter.covariance().is_sound() && filter.v_n().is_finite()) {
-                    return Some(self.restart(Restart::Diverged));
-                }
+        let mut filtered = |increment: &Increment<T>| {
+            if let Some(innovation) = filter.step(increment) {
                 consistency.push(innovation);
                 measured = true;
             }
+        };
+        match replay {
+            Replay::Forward {
+                pass,
+                start,
+                length,
+                next,
+            } => {
+                let end = (*next + PER_STEP).min(*length);
+                self.queue.iter().take(end).skip(*next).for_each(filtered);
+                *next = end;
+                if end == *length {
+                    filter.close_loop();
+                    *replay = Replay::Back {
+                        pass: *pass,
+                        start: *start,
+                        length: *length,
+                        next: 0,
+                        turn: RotIntegral::new(Rot::identity()),
+                        t: T::zero(),
+                    };
+                }
+            }
+            Replay::Back {
+                pass,
+                start,
+                length,
+                next,
+                turn,
+                t,
+            } => {
+                let end = (*next + PER_STEP).min(*length);
+                for increment in self.queue.iter().take(end).skip(*next) {
+                    turn.turn_from(increment.phi_s - filter.gyro_bias_s() * increment.dt);
+                    *t += increment.dt;
+                }
+                *next = end;
+                if end < *length {
+                    return None;
+                }
+                // C(t) = exp(−ω_ie t) C(0) Q, Q the turn of s with the biases found.
+                let back = Rot::exp(self.earth.w_ie_n() * *t) * filter.c_ns() * turn.get().inverse();
+                let moved = (back * start.inverse()).log().norm();
+                // Another pass there and back lets this many increments in, at the very most.
+                let room = self.queue.len() + 2 * (*length / PER_STEP + 2) < N;
+                if moved > T::lit(SETTLED) && *pass < MOST_PASSES && room {
+                    let (start, pass, length) = (back.normalized(), *pass + 1, *length);
+                    self.start_over(start, length, pass)?;
+                    return None;
+                }
+                for _ in 0..*length {
+                    self.queue.pop_front();
+                }
+                *replay = Replay::Drain;
+            }
+            Replay::Drain | Replay::Live => {
+                for _ in 0..PER_STEP {
+                    let Some(increment) = self.queue.pop_front() else { break };
+                    filtered(&increment);
+                }
+            }
         }
-        if !*live {
-            *live = self.queue.is_empty();
-            return live.then_some(Event::CaughtUp);
+        if !(filter.covariance().is_sound() && filter.v_n().is_finite()) {
+            return Some(self.restart(Restart::Diverged));
         }
-        if !measured {
+        if *replay == Replay::Drain && self.queue.is_empty() {
+            *replay = Replay::Live;
+            return Some(Event::CaughtUp);
+        }
+        if !measured || *replay != Replay::Live {
             return None;
         }
         let not_ready = self.not_ready_fine();
@@ -533,7 +653,7 @@ impl<T: Real, const N: usize> Aligner<T, N> {
         match &self.stage {
             Stage::Settling { .. } => Mode::Settling,
             Stage::Coarse { .. } => Mode::Coarse,
-            Stage::Fine { live: false, .. } => Mode::CatchingUp,
+            Stage::Fine { replay, .. } if *replay != Replay::Live => Mode::CatchingUp,
             Stage::Fine { aligned: false, .. } => Mode::Fine,
             Stage::Fine { .. } => Mode::Aligned,
         }
@@ -549,7 +669,7 @@ impl<T: Real, const N: usize> Aligner<T, N> {
                 remaining: self.config.t_k2 - coarse.t(),
             }),
             #[expect(clippy::cast_possible_truncation, reason = "a queue of 2^32 increments is 100 GB")]
-            Stage::Fine { live: false, .. } => Some(NotReady::CatchingUp {
+            Stage::Fine { replay, .. } if *replay != Replay::Live => Some(NotReady::CatchingUp {
                 queued: self.queue.len() as u32,
             }),
             Stage::Fine { .. } => self.not_ready_fine(),
@@ -557,7 +677,10 @@ impl<T: Real, const N: usize> Aligner<T, N> {
     }
 
     fn not_ready_fine(&self) -> Option<NotReady<T>> {
-        let Stage::Fine { consistency, .. } = &self.stage else {
+        let Stage::Fine {
+            filter, consistency, ..
+        } = &self.stage
+        else {
             return None;
         };
         if !consistency.holds() {
@@ -566,12 +689,25 @@ impl<T: Real, const N: usize> Aligner<T, N> {
             });
         }
         let sd = self.estimate()?.sd.heading;
+        if let Some(other) = filter.other_solution()
+            && other.heading_offset.abs() > T::lit(5.0) * sd
+        {
+            return Some(NotReady::Ambiguous {
+                heading_offset: other.heading_offset,
+                gyro_bias_z: other.gyro_bias_z,
+            });
+        }
         (sd > self.config.ready_heading_sd).then_some(NotReady::HeadingSd { sd })
     }
 
     /// What is known now; `None` before the fine filter is at the present.
     pub fn estimate(&self) -> Option<Estimate<T>> {
-        let Stage::Fine { filter, live: true, .. } = &self.stage else {
+        let Stage::Fine {
+            filter,
+            replay: Replay::Live,
+            ..
+        } = &self.stage
+        else {
             return None;
         };
         let mut c_ns = filter.c_ns();

@@ -32,15 +32,25 @@ pub struct Sample<T: Real = f32> {
     pub gap: T,
 }
 
+/// Largest mean rate of a sample, rad/s: 5700 °/s, beyond the range of any IMU that could find north.
+pub const MAX_RATE: f64 = 100.0;
+/// Largest mean specific force of a sample, m/s²: 100 g.
+pub const MAX_FORCE: f64 = 1000.0;
+/// Longest interval of a sample, s.
+pub const MAX_INTERVAL: f64 = 1.0;
+
 impl<T: Real> Sample<T> {
-    /// Whether every figure is finite, the interval positive and the gap not negative.
+    /// Whether every figure is finite and possible: the interval in (0, [`MAX_INTERVAL`]], the gap not
+    /// negative, means within [`MAX_RATE`] and [`MAX_FORCE`].
     pub fn is_valid(&self) -> bool {
-        self.dtheta_s.is_finite()
-            && self.dv_s.is_finite()
-            && self.dt.finite()
-            && self.dt > T::zero()
+        let zero = T::zero();
+        // Comparisons with NaN are false.
+        self.dt > zero
+            && self.dt <= T::lit(MAX_INTERVAL)
+            && self.gap >= zero
             && self.gap.finite()
-            && self.gap >= T::zero()
+            && self.dtheta_s.norm() <= T::lit(MAX_RATE) * self.dt
+            && self.dv_s.norm() <= T::lit(MAX_FORCE) * self.dt
     }
 
     /// The increments of a gap of `gap` seconds between this sample and `after`: the mean of the two
