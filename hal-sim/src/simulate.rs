@@ -227,7 +227,7 @@ pub struct RunResult {
     pub samples: u64,
     /// Samples in which a sensor was clipped.
     pub saturated: u64,
-    /// Coarse alignment alone over the whole run ([Xing18] (7)–(18)), at the run's end.
+    /// Coarse alignment alone over the whole run (\[Xing18\] (7)–(18)), at the run's end.
     pub coarse: Option<Fix>,
     /// The unit's estimate at the run's end.
     #[serde(rename = "final")]

@@ -539,7 +539,7 @@ mod tests {
     /// A rotor at 20 °/s on a swinging base under gravity, 20 increments a second.
     fn increment(k: u32) -> Increment<f64> {
         let t = f64::from(k) * 0.05;
-        let wave = |period: f64| frames::math::sin_cos(core::f64::consts::TAU * t / period).0;
+        let wave = |period: f64| math::sin_cos(core::f64::consts::TAU * t / period).0;
         Increment {
             phi_s: V::new(
                 0.002 * wave(6.0),
