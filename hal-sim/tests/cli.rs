@@ -1,0 +1,272 @@
+//! The command as users meet it: results, files, messages, exit codes.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test stops at the first surprise"
+)]
+
+use std::fs;
+use std::path::Path;
+use std::process::Output;
+
+use assert_cmd::Command;
+use serde_json::Value;
+use tempfile::TempDir;
+
+fn hal_sim(dir: &Path, arguments: &[&str]) -> Output {
+    Command::cargo_bin("hal-sim")
+        .unwrap()
+        .current_dir(dir)
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {output:?}"))
+}
+
+fn number(value: &Value, pointer: &str) -> f64 {
+    value
+        .pointer(pointer)
+        .and_then(Value::as_f64)
+        .unwrap_or_else(|| panic!("{pointer} in {value}"))
+}
+
+/// The one line of an error, after `error: `.
+fn error_line(output: &Output) -> String {
+    assert_eq!(output.status.code(), Some(2), "{output:?}");
+    assert!(output.stdout.is_empty(), "a broken input gives no result: {output:?}");
+    let text = String::from_utf8(output.stderr.clone()).unwrap();
+    let lines: Vec<_> = text.lines().filter(|line| line.starts_with("error: ")).collect();
+    assert_eq!(lines.len(), 1, "{text}");
+    lines[0].trim_start_matches("error: ").to_owned()
+}
+
+#[test]
+fn without_arguments_it_runs_the_paper_and_reports() {
+    let dir = TempDir::new().unwrap();
+    let output = hal_sim(dir.path(), &[]);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let table = String::from_utf8(output.stdout).unwrap();
+    assert!(table.starts_with("aligned since "), "{table}");
+    for row in [
+        "heading (°)",
+        "pitch (°)",
+        "roll (°)",
+        "gyro z (°/h)",
+        "accel z (µg)",
+        "report: ",
+    ] {
+        assert!(table.contains(row), "{row}: {table}");
+    }
+    let report = dir.path().join("report/paper-sim-seed1");
+    for file in [
+        "result.json",
+        "estimates.csv",
+        "attitude-error.svg",
+        "gyro-bias.svg",
+        "rotor.svg",
+    ] {
+        assert!(fs::metadata(report.join(file)).unwrap().len() > 500, "{file}");
+    }
+    let phases = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        phases.contains("coarse alignment: heading") && phases.contains("aligned"),
+        "{phases}"
+    );
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes() {
+    let dir = TempDir::new().unwrap();
+    for arguments in [
+        &["run", "--seed", "5", "--json", "--seconds", "120"][..],
+        &[
+            "monte-carlo",
+            "--runs",
+            "6",
+            "--seed",
+            "5",
+            "--json",
+            "--seconds",
+            "90",
+            "--method",
+            "kf,stf",
+        ],
+    ] {
+        let (first, second) = (hal_sim(dir.path(), arguments), hal_sim(dir.path(), arguments));
+        assert!(!first.stdout.is_empty(), "{first:?}");
+        assert_eq!(first.stdout, second.stdout);
+    }
+}
+
+#[test]
+fn a_log_replays_to_the_run_it_was_written_by() {
+    let dir = TempDir::new().unwrap();
+    for method in ["kf", "stf"] {
+        let arguments = ["run", "--seed", "3", "--json", "--log", "run.csv", "--method", method];
+        let run = json(&hal_sim(dir.path(), &arguments));
+        let output = hal_sim(
+            dir.path(),
+            &[
+                "replay",
+                "run.csv",
+                "--latitude-deg",
+                "40",
+                "--json",
+                "--quiet",
+                "--method",
+                method,
+            ],
+        );
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        let replay = json(&output);
+        assert_eq!(replay["state"], "aligned");
+        for angle in ["heading_deg", "pitch_deg", "roll_deg"] {
+            let simulated = number(&run, &format!("/final/reading/attitude/{angle}"));
+            // One ulp of an f32 angle of a turn is 2e-5 degrees.
+            assert!(
+                (number(&replay, &format!("/{angle}")) - simulated).abs() < 1e-4,
+                "{angle}"
+            );
+        }
+        for axis in 0..3 {
+            let simulated = number(&run, &format!("/final/reading/gyro_bias_deg_h/{axis}"));
+            assert!((number(&replay, &format!("/gyro_bias_deg_h/{axis}")) - simulated).abs() < 1e-2);
+        }
+        assert_eq!(replay["accel_bias_ug"].as_array().map(Vec::len), Some(3));
+    }
+}
+
+#[test]
+fn a_base_that_moves_is_refused() {
+    let dir = TempDir::new().unwrap();
+    let run = hal_sim(
+        dir.path(),
+        &["run", "--scenario", "moored", "--log", "moored.csv", "--quiet"],
+    );
+    assert_eq!(run.status.code(), Some(1), "{run:?}");
+    let output = hal_sim(
+        dir.path(),
+        &["replay", "moored.csv", "--latitude-deg", "40", "--json", "--quiet"],
+    );
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let replay = json(&output);
+    assert_eq!(replay["state"], "inconsistent");
+    assert!(
+        replay["heading_deg"].is_null() && replay["heading_sd_deg"].is_null(),
+        "{replay}"
+    );
+    assert!(
+        replay["reason"]
+            .as_str()
+            .is_some_and(|reason| reason.contains("innovations")),
+        "{replay}"
+    );
+}
+
+#[test]
+fn a_gap_is_bridged_and_said() {
+    let dir = TempDir::new().unwrap();
+    hal_sim(dir.path(), &["run", "--log", "whole.csv", "--quiet"]);
+    let whole = fs::read_to_string(dir.path().join("whole.csv")).unwrap();
+    // 20 rows after 200 s.
+    let kept = whole.lines().enumerate().filter(|(k, _)| !(20_001..20_021).contains(k));
+    let text: String = kept.map(|(_, line)| format!("{line}\n")).collect();
+    fs::write(dir.path().join("gap.csv"), text).unwrap();
+    let output = hal_sim(dir.path(), &["replay", "gap.csv", "--latitude-deg", "40"]);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        said.contains("warning: ") && said.contains("200 ms without data, bridged"),
+        "{said}"
+    );
+}
+
+#[test]
+fn broken_logs_are_one_line_with_the_place() {
+    let dir = TempDir::new().unwrap();
+    hal_sim(dir.path(), &["run", "--log", "good.csv", "--quiet", "--seconds", "30"]);
+    let good = fs::read_to_string(dir.path().join("good.csv")).unwrap();
+    let broken = |change: &dyn Fn(usize, &str) -> String| -> String {
+        let text: String = good
+            .lines()
+            .enumerate()
+            .map(|(k, line)| change(k, line) + "\n")
+            .collect();
+        fs::write(dir.path().join("bad.csv"), text).unwrap();
+        error_line(&hal_sim(
+            dir.path(),
+            &["replay", "bad.csv", "--latitude-deg", "40", "--json"],
+        ))
+    };
+    let in_row_100 = |from: usize, to: &'static str| {
+        move |k: usize, line: &str| {
+            let mut fields: Vec<_> = line.split(',').collect();
+            if k == 100 {
+                fields[from] = to;
+            }
+            fields.join(",")
+        }
+    };
+    for (message, mentions) in [
+        (broken(&in_row_100(2, "NaN")), ["bad.csv:101", "gyro_y_rad_s"]),
+        (broken(&in_row_100(4, "abc")), ["bad.csv:101", "accel_x_m_s2"]),
+        (broken(&in_row_100(0, "0.5")), ["bad.csv:101", "t_s"]),
+        (
+            broken(&|k, line| {
+                if k == 0 {
+                    line.replace("encoder_rad", "angle")
+                } else {
+                    line.to_owned()
+                }
+            }),
+            ["bad.csv:1", "encoder_rad"],
+        ),
+    ] {
+        for mention in mentions {
+            assert!(message.contains(mention), "{mention}: {message}");
+        }
+    }
+    fs::write(dir.path().join("empty.csv"), "").unwrap();
+    assert!(error_line(&hal_sim(dir.path(), &["replay", "empty.csv", "--latitude-deg", "40"])).contains("empty"));
+    assert!(error_line(&hal_sim(dir.path(), &["replay", "none.csv", "--latitude-deg", "40"])).contains("none.csv"));
+}
+
+#[test]
+fn impossible_arguments_are_refused() {
+    let dir = TempDir::new().unwrap();
+    hal_sim(dir.path(), &["run", "--log", "good.csv", "--quiet", "--seconds", "30"]);
+    let latitude = error_line(&hal_sim(dir.path(), &["replay", "good.csv", "--latitude-deg", "-89"]));
+    assert!(latitude.contains("between -85 and 85"), "{latitude}");
+    let unknown = error_line(&hal_sim(dir.path(), &["run", "--scenario", "paper-simm"]));
+    assert!(unknown.contains("paper-sim, paper-turntable"), "{unknown}");
+    fs::write(
+        dir.path().join("own.toml"),
+        "[place]\nlatitude_deg = 40.0\nlongitude_deg = 3.0\n",
+    )
+    .unwrap();
+    let key = error_line(&hal_sim(dir.path(), &["run", "--scenario", "own.toml"]));
+    assert!(key.starts_with("own.toml:3: place.longitude_deg: "), "{key}");
+    let seconds = error_line(&hal_sim(dir.path(), &["run", "--seconds", "0"]));
+    assert!(seconds.contains("duration_s"), "{seconds}");
+}
+
+/// A short log has no result, and says how much is missing.
+#[test]
+fn a_short_log_is_not_aligned() {
+    let dir = TempDir::new().unwrap();
+    hal_sim(dir.path(), &["run", "--log", "short.csv", "--quiet", "--seconds", "30"]);
+    let output = hal_sim(dir.path(), &["replay", "short.csv", "--latitude-deg", "40", "--json"]);
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let replay = json(&output);
+    assert_eq!(replay["state"], "coarse");
+    assert!(replay["heading_deg"].is_null());
+    assert!(
+        replay["reason"]
+            .as_str()
+            .is_some_and(|reason| reason.contains("s more")),
+        "{replay}"
+    );
+}
