@@ -126,7 +126,7 @@ struct ReplayArgs {
     /// Height above the ellipsoid, m
     #[arg(long, value_name = "H", default_value_t = 0.0, allow_negative_numbers = true)]
     height_m: f64,
-    /// Noise and bias figures of the IMU [default: [Xing18] Table 2]
+    /// Noise and bias figures of the IMU (default: those of the main paper, Table 2)
     #[arg(long, value_name = "UNIT.toml")]
     unit: Option<PathBuf>,
     /// Fine filter

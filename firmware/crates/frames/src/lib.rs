@@ -18,7 +18,7 @@
 //!
 //! * A rotation `c_nb` maps coordinates in b to coordinates in n: `v_n = c_nb * v_b`. Inner letters
 //!   cancel: `c_ns = c_nb * c_bs`. The type reads in the same order: `Rot<Nav, Body>`.
-//! * The rotor: `c_bs = Rz(α)`, α counter-clockwise seen from above ([Xing18] (1)).
+//! * The rotor: `c_bs = Rz(α)`, α counter-clockwise seen from above (\[Xing18\] (1)).
 //! * Attitude: `c_nb = Rz(yaw) Rx(pitch) Ry(roll)`, yaw counter-clockwise from north. To people,
 //!   *heading* is clockwise from true north in \[0°, 360°): `heading = −yaw mod 360°`. See [`Attitude`].
 //! * Vectors carry symbol, pair and frame: `w_ib_b` is the rate of b against i in b, `f_is_s` the
@@ -137,6 +137,6 @@ frame! {
     Sensor
 }
 frame! {
-    /// ib0: the sensor frame frozen in inertial space when alignment starts ([Xing18] §2).
+    /// ib0: the sensor frame frozen in inertial space when alignment starts (\[Xing18\] §2).
     SensorStart
 }

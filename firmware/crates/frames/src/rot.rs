@@ -179,7 +179,7 @@ pub(crate) fn exp_minus_one<T: Real>(phi: Vector3<T>) -> (T, Vector3<T>) {
 }
 
 impl<T: Real> Rot<Body, Sensor, T> {
-    /// `C_s^b = Rz(α)` for the rotor angle α, radians ([Xing18] (1)).
+    /// `C_s^b = Rz(α)` for the rotor angle α, radians (\[Xing18\] (1)).
     #[inline]
     pub fn about_z(alpha: T) -> Self {
         let (s, c) = math::sin_cos(alpha * T::lit(0.5));

@@ -65,7 +65,7 @@ pub struct AlignerConfig<T: Real = f32> {
     pub height: T,
     /// Samples of this first time are only looked at, s.
     pub settle: T,
-    /// First time of coarse alignment after settling, s ([Xing18] (17)).
+    /// First time of coarse alignment after settling, s (\[Xing18\] (17)).
     pub t_k1: T,
     /// Second time of coarse alignment, s.
     pub t_k2: T,

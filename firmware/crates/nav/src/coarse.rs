@@ -1,7 +1,7 @@
 //! Coarse alignment in the inertial frame with rotation modulation (RMT-IFBA).
 //!
 //! Gravity seen from inertial space moves on a cone about Earth's axis, and its direction at two
-//! times tells all of the attitude ([Xing18] §4.1):
+//! times tells all of the attitude (\[Xing18\] §4.1):
 //!
 //! ```text
 //! C_s^n(t) = C_i^n(t) C_ib0^i C_s^ib0(t)                                   (7), (18)

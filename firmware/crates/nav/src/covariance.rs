@@ -5,7 +5,7 @@
 //! with those are formed. A measurement is taken one component at a time, with no matrix to invert.
 //!
 //! ```text
-//! P ← Φ P Φᵀ + Q                                     [Xing18] (22)
+//! P ← Φ P Φᵀ + Q                                     \[Xing18\] (22)
 //! s = P_kk + r,  u = P e_k/√s,  P ← P − u uᵀ         (23), (25), component k measured
 //! ```
 //!
@@ -129,7 +129,7 @@ impl<T: Real, const B: usize> Covariance<T, B> {
         }
     }
 
-    /// D^½ P D^½ with `D = diag(factors)`: fading, [Xing18] (26).
+    /// D^½ P D^½ with `D = diag(factors)`: fading, \[Xing18\] (26).
     pub fn fade(&mut self, factors: &[Vector3<T>; B]) {
         let roots = factors.map(|f| f.map(math::sqrt));
         for i in 0..B {

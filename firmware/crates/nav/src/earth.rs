@@ -5,7 +5,7 @@
 //! g(L, h) = g_e (1 + k sin²L)/√(1 − e² sin²L) · (1 − 2h/a (1 + f + m − 2f sin²L) + 3h²/a²)
 //! ```
 //!
-//! WGS-84 (NIMA TR 8350.2, (4-1) Somigliana, (4-3) height). [Xing18] (8), (12), (13) give the
+//! WGS-84 (NIMA TR 8350.2, (4-1) Somigliana, (4-3) height). \[Xing18\] (8), (12), (13) give the
 //! inertial frame; the first row of the printed (8) has the sine twice, the second is a cosine.
 //!
 //! Not modelled: the deflection of the vertical (a few seconds of arc, straight into tilt and, times
@@ -96,7 +96,7 @@ impl<T: Real> Earth<T> {
         Vec3::new(T::zero(), T::zero(), -self.gravity)
     }
 
-    /// `C_i^n` at `t` seconds after the start, [Xing18] (8) with the first row corrected.
+    /// `C_i^n` at `t` seconds after the start, \[Xing18\] (8) with the first row corrected.
     pub fn c_ni(&self, t: T) -> Rot<Nav, Inertial, T> {
         let (s, c) = math::sin_cos(T::lit(OMEGA_IE) * t);
         let (sl, cl) = (self.sin_lat, self.cos_lat);
@@ -114,7 +114,7 @@ impl<T: Real> Earth<T> {
     }
 
     /// `V^i(t) = −∫ g^i dt` from 0 to `t`, m/s: what an ideal accelerometer that hangs still on
-    /// Earth integrates to in the inertial frame ([Xing18] (13)).
+    /// Earth integrates to in the inertial frame (\[Xing18\] (13)).
     pub fn velocity_i(&self, t: T) -> Vec3<Inertial, T> {
         let w = T::lit(OMEGA_IE);
         let (s, c) = math::sin_cos(T::lit(0.5) * w * t);

@@ -2,7 +2,7 @@
 //!
 //! A filter that trusts its model too much stops listening; the strong-tracking filter watches the
 //! innovations and, when they are larger than P says, raises the variances of chosen states before
-//! the prediction ([Xing18] (26); multiple factors after D. H. Zhou and P. M. Frank, *Strong tracking
+//! the prediction (\[Xing18\] (26); multiple factors after D. H. Zhou and P. M. Frank, *Strong tracking
 //! filtering of nonlinear time-varying stochastic systems with coloured noise*, Int. J. Control 65
 //! (1996)). With innovation γ, forgetting ρ and softening β:
 //!

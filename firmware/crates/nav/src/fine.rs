@@ -2,7 +2,7 @@
 //!
 //! The strapdown integrates attitude and velocity in n from increments that the bias estimates have
 //! corrected; the base stays where it is, so the velocity it finds is its own error, measured. With
-//! `C' = (I − [φ×]) C`, `V' = V + δV`, and ε, ∇ what the bias estimates still lack ([Xing18] (19), (20);
+//! `C' = (I − [φ×]) C`, `V' = V + δV`, and ε, ∇ what the bias estimates still lack (\[Xing18\] (19), (20);
 //! the printed `−g^n×` is `[f^n×]`, g^n pointing down):
 //!
 //! ```text
@@ -58,9 +58,9 @@ pub const BLOCKS: usize = 4;
 /// How the covariance is predicted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Method<T: Real = f32> {
-    /// Kalman filter, [Xing18] (21)–(25).
+    /// Kalman filter, \[Xing18\] (21)–(25).
     Kalman,
-    /// Strong-tracking filter, [Xing18] (26).
+    /// Strong-tracking filter, \[Xing18\] (26).
     StrongTracking(StrongTracking<T, BLOCKS>),
 }
 

@@ -11,7 +11,7 @@
 //!
 //! φ is the rotation vector from the end of the interval to its start, Δv⁰ the velocity change
 //! resolved in the frame at the start. Leaving out `½ Δθ × Δv` alone costs 14° of heading at 100 Hz
-//! in the swing of [Xing18] Table 1.
+//! in the swing of \[Xing18\] Table 1.
 //!
 //! References: P. G. Savage, *Strapdown Inertial Navigation Integration Algorithm Design*, J. Guidance
 //! 21 (1998), parts 1 and 2: rotation (part 2, (25)), two-speed coning and sculling with the previous

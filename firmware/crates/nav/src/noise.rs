@@ -4,7 +4,7 @@ use frames::{Real, units};
 
 /// Noise and bias figures of one IMU, equal on its three axes.
 ///
-/// | field | unit | zero means | [Xing18] Table 2 |
+/// | field | unit | zero means | \[Xing18\] Table 2 |
 /// |---|---|---|---|
 /// | `gyro_bias_sd` | rad/s | biases known | 10 °/h |
 /// | `accel_bias_sd` | m/s² | biases known | 100 µg |
@@ -29,7 +29,7 @@ pub struct ImuNoise<T: Real = f32> {
 }
 
 impl<T: Real> Default for ImuNoise<T> {
-    /// The IMU of [Xing18] Table 2.
+    /// The IMU of \[Xing18\] Table 2.
     fn default() -> Self {
         Self {
             gyro_bias_sd: T::lit(10.0 * units::DEG_PER_HOUR),

@@ -1,6 +1,6 @@
 //! Rotor schedule: continuous reciprocating rotation about z with limited acceleration.
 //!
-//! [Xing18] §3.2 chooses one axis (z), reciprocation (a scale-factor error cancels over a cycle) and
+//! \[Xing18\] §3.2 chooses one axis (z), reciprocation (a scale-factor error cancels over a cycle) and
 //! no stops. One cycle, from rest at angle 0:
 //!
 //! ```text
@@ -35,7 +35,7 @@ pub struct RotorConfig<T: Real = f32> {
 }
 
 impl<T: Real> Default for RotorConfig<T> {
-    /// [Xing18] §3.2: ±20 °/s over one full turn; reversals at 200 °/s².
+    /// \[Xing18\] §3.2: ±20 °/s over one full turn; reversals at 200 °/s².
     fn default() -> Self {
         Self {
             rate: T::lit(20.0 * units::DEG),
