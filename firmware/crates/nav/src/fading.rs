@@ -102,3 +102,48 @@ impl<T: Real> Fading<T> {
             .map(|weights| weights.map(|alpha| (alpha * c).min(policy.limit).max(one)))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn policy() -> StrongTracking<f64, 2> {
+        StrongTracking {
+            forgetting: 0.5,
+            softening: 2.0,
+            weights: [Vector3::zeros(), Vector3::new(1.0, 0.5, 0.0)],
+            limit: 100.0,
+        }
+    }
+
+    /// Factors after innovations of these norms, with tr M = 3, tr Q = 1.5 and 3 r = 1.5.
+    fn factors(innovations: &[f64]) -> [Vector3<f64>; 2] {
+        let mut fading = Fading::new();
+        let mut last = [Vector3::zeros(); 2];
+        for norm in innovations {
+            let innovation = Vector3::new(0.0, *norm, 0.0);
+            let (m, q) = (Matrix3::identity(), Matrix3::identity() * 0.5);
+            last = fading.factors(&policy(), &innovation, &m, &q, 0.5);
+        }
+        last
+    }
+
+    #[test]
+    fn expected_innovations_fade_nothing() {
+        let one = Vector3::repeat(1.0);
+        assert_eq!(factors(&[0.0]), [one; 2]);
+        // γ² = β (M + Q + 3 r) is the most that does not.
+        assert_eq!(factors(&[12.0_f64.sqrt()]), [one; 2]);
+    }
+
+    #[test]
+    fn larger_ones_are_explained_by_the_weighted_states() {
+        // V = 24: c = (24/2 − 1.5 − 1.5)/3 = 3.
+        let [unweighted, weighted] = factors(&[24.0_f64.sqrt()]);
+        assert_eq!(unweighted, Vector3::repeat(1.0));
+        assert!((weighted - Vector3::new(3.0, 1.5, 1.0)).amax() < 1e-12, "{weighted}");
+        // V = (0.5·24 + 0)/1.5 = 8 a step later: c = 1/3, and no factor is below one.
+        assert_eq!(factors(&[24.0_f64.sqrt(), 0.0])[1], Vector3::repeat(1.0));
+        assert!((factors(&[1e6])[1].x - 100.0).abs() < 1e-12, "limit");
+    }
+}
