@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
-use hal_sim::align::{Angles, Method, Setup};
+use hal_sim::align::{self, Angles, Method, Setup};
 use hal_sim::log::{LogRow, LogWarning, LogWriter};
 use hal_sim::monte_carlo::{self, Statistics};
 use hal_sim::replay::{self, Replay};
@@ -17,6 +17,7 @@ use hal_sim::scenario::Scenario;
 use hal_sim::simulate::{self, Moment, Row, RunResult};
 use hal_sim::unit::Unit;
 use indicatif::{ProgressBar, ProgressStyle};
+use nav::aligner::Event;
 use nav::rotor::RotorConfig;
 
 /// Not aligned, or a result the unit does not stand by.
@@ -444,6 +445,8 @@ struct ReplayObserver {
     bar: ProgressBar,
     quiet: bool,
     rows: u64,
+    bridged: u64,
+    bridged_s: f64,
 }
 
 impl replay::Observer for ReplayObserver {
@@ -455,8 +458,18 @@ impl replay::Observer for ReplayObserver {
         }
     }
 
-    fn event(&mut self, t: f64, event: &str) {
-        told(&self.bar, self.quiet, t, event);
+    fn event(&mut self, t: f64, event: &Event<f32>) {
+        match event {
+            // One line for all of them, at the end: a log may have thousands.
+            Event::Bridged { length } => {
+                self.bridged += 1;
+                self.bridged_s += f64::from(*length);
+            }
+            Event::Restarted(_) => self
+                .bar
+                .suspend(|| eprintln!("warning: at {t:.2} s {}", align::describe(event))),
+            _ => told(&self.bar, self.quiet, t, &align::describe(event)),
+        }
     }
 
     fn warning(&mut self, warning: &LogWarning) {
@@ -481,9 +494,26 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
     } else {
         ProgressBar::new_spinner()
     };
-    let mut observer = ReplayObserver { bar, quiet, rows: 0 };
+    let mut observer = ReplayObserver {
+        bar,
+        quiet,
+        rows: 0,
+        bridged: 0,
+        bridged_s: 0.0,
+    };
     let result = replay::replay(&args.log, &setup, &mut observer).map_err(words)?;
     observer.bar.finish_and_clear();
+    if observer.bridged > 0 {
+        eprintln!(
+            "warning: bridged {} of {:.3} s in all, by the mean of the rates before and after",
+            if observer.bridged == 1 {
+                "1 gap".to_owned()
+            } else {
+                format!("{} gaps", observer.bridged)
+            },
+            observer.bridged_s
+        );
+    }
     if args.json {
         print_json(&result)?;
     } else {

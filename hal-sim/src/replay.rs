@@ -76,8 +76,8 @@ pub struct Replay {
 pub trait Observer {
     /// A row has been read.
     fn row(&mut self, _row: &LogRow) {}
-    /// The aligner told something at time `t`, s; in words.
-    fn event(&mut self, _t: f64, _event: &str) {}
+    /// The aligner told something at time `t`, s.
+    fn event(&mut self, _t: f64, _event: &Event<f32>) {}
     /// The log is usable, but.
     fn warning(&mut self, _warning: &LogWarning) {}
 }
@@ -118,7 +118,7 @@ pub fn replay(path: &Path, setup: &Setup, observer: &mut impl Observer) -> Resul
         t_s = row.t_s;
         #[expect(clippy::cast_possible_truncation, reason = "the core runs in f32")]
         if let Some(event) = aligner.step(&align::cast(&sample(&row)), row.encoder as f32) {
-            observer.event(t_s, &align::describe(&event));
+            observer.event(t_s, &event);
             if let Event::Restarted(_) = event {
                 rejected = Some(align::describe(&event));
             }

@@ -179,7 +179,7 @@ fn a_gap_is_bridged_and_said() {
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(
-        said.contains("warning: ") && said.contains("200 ms without data, bridged"),
+        said.contains("20 rows missing") && said.contains("warning: bridged 1 gap of 0.200 s"),
         "{said}"
     );
 }

@@ -330,6 +330,24 @@ enum Stage<T: Real> {
     },
 }
 
+/// What the mean of two rates held over a gap may have missed of their integral, 1σ.
+///
+/// Rates that changed as steadily as before leave nothing. What does not fit a straight line is either a
+/// curve, e·gap/12 at most, or a corner of the rotor's profile in the gap, e·gap/8 at most.
+fn bridging_error<T: Real>(
+    earlier: Option<Vec3<Sensor, T>>,
+    before: Vec3<Sensor, T>,
+    after: Vec3<Sensor, T>,
+    dt: T,
+    gap: T,
+) -> T {
+    let change = after - before;
+    match earlier {
+        Some(earlier) => (change - (before - earlier) * ((gap + dt) / dt)).norm() * gap * T::lit(0.125),
+        None => change.norm() * gap * T::lit(0.5),
+    }
+}
+
 /// See the module.
 #[derive(Debug, Clone)]
 pub struct Aligner<T: Real = f32, const N: usize = QUEUE> {
@@ -338,6 +356,7 @@ pub struct Aligner<T: Real = f32, const N: usize = QUEUE> {
     compensator: Compensator<T>,
     decimator: Decimator<T>,
     last: Option<Sample<T>>,
+    before_last: Option<Sample<T>>,
     queue: Deque<Increment<T>, N>,
     stage: Stage<T>,
     c_sb: Rot<Sensor, Body, T>,
@@ -390,6 +409,7 @@ impl<T: Real, const N: usize> Aligner<T, N> {
             compensator: Compensator::new(),
             decimator: Decimator::new(decimate_to),
             last: None,
+            before_last: None,
             queue: Deque::new(),
             stage: Stage::Settling { elapsed: zero },
             c_sb: Rot::identity(),
@@ -411,7 +431,7 @@ impl<T: Real, const N: usize> Aligner<T, N> {
                 Err(reason) => return Some(self.restart(reason)),
             }
         }
-        self.last = Some(*sample);
+        self.before_last = self.last.replace(*sample);
         if let Stage::Settling { elapsed } = &mut self.stage {
             *elapsed += sample.dt;
             let settled = *elapsed >= self.config.settle;
@@ -451,19 +471,16 @@ impl<T: Real, const N: usize> Aligner<T, N> {
                 }
             }
             Stage::Fine { filter, .. } => {
-                // The mean rate is off by at most half the change of rate across the gap, when all of the
-                // change came at one of its ends.
-                let half = T::lit(0.5) * length;
-                let turn = (sample.dtheta_s / sample.dt - before.dtheta_s / before.dt).norm() * half;
-                let velocity = (sample.dv_s / sample.dt - before.dv_s / before.dt).norm() * half;
-                let third = T::lit(1.0 / 3.0);
-                // A sample or two are smooth: the error is the curvature's, a small part of that bound.
-                let share = if length > before.dt * T::lit(3.0) {
-                    T::one()
-                } else {
-                    third * third
+                let missed = |rate: fn(&Sample<T>) -> Vec3<Sensor, T>| {
+                    bridging_error(
+                        self.before_last.as_ref().map(rate),
+                        rate(&before),
+                        rate(sample),
+                        before.dt,
+                        length,
+                    )
                 };
-                filter.doubt(turn * share, velocity * share);
+                filter.doubt(missed(|s| s.dtheta_s / s.dt), missed(|s| s.dv_s / s.dt));
             }
         }
         let bridge = before.bridge(sample, length);
@@ -643,6 +660,7 @@ impl<T: Real, const N: usize> Aligner<T, N> {
         self.compensator = Compensator::new();
         self.decimator = Decimator::new(self.config.decimate_to);
         self.last = None;
+        self.before_last = None;
         self.queue.clear();
         self.stage = Stage::Settling { elapsed: T::zero() };
         Event::Restarted(reason)
