@@ -14,6 +14,7 @@ pub mod bus;
 pub mod device;
 pub mod log;
 pub mod monte_carlo;
+pub mod plant;
 pub mod plot;
 pub mod replay;
 pub mod report;

@@ -1,2 +1,4 @@
 //! The application of a rotary IMU unit, generic over its hardware.
 #![no_std]
+
+pub mod rotor;
