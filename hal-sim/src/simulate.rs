@@ -168,7 +168,8 @@ impl<T: Real> PaperCoarse<T> {
             c_ns = c_ns * frames::Rot::exp(pending.phi_s);
         }
         let c_nb = c_ns * frames::Rot::about_z(T::lit(alpha)).inverse();
-        let sd = self.coarse.attitude_sd(&solution, earth, &align::noise(unit));
+        let p_phi = self.coarse.phi_covariance(&solution, earth, &align::noise(unit));
+        let sd = frames::AttitudeSd::from_phi_covariance(&c_nb, &p_phi);
         Some((
             Angles::from_attitude(&frames::Attitude::from_rot(&c_nb)),
             Angles::from_sd(&sd),

@@ -1,3 +1,5 @@
+use nalgebra::Matrix3;
+
 use crate::{Body, Nav, Real, Rot, Vec3, math};
 
 /// The attitude of the housing as people read it, radians.
@@ -20,6 +22,15 @@ pub struct AttitudeSd<T: Real = f32> {
     pub pitch: T,
     /// 1σ of roll.
     pub roll: T,
+}
+
+impl<T: Real> AttitudeSd<T> {
+    /// The spreads that go with a covariance of φ, rad², where `C' = (I − [φ×]) C`.
+    pub fn from_phi_covariance(c_nb: &Rot<Nav, Body, T>, p_phi: &Matrix3<T>) -> Self {
+        let along = |j: Vec3<Nav, T>| math::sqrt((p_phi * j.vector()).dot(&j.vector()).max(T::zero()));
+        let [heading, pitch, roll] = Attitude::jacobian(c_nb).map(along);
+        Self { heading, pitch, roll }
+    }
 }
 
 impl<T: Real> Attitude<T> {

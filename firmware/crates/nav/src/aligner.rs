@@ -523,8 +523,10 @@ impl<T: Real, const N: usize> Aligner<T, N> {
             Ok(solution) => solution,
             Err(reason) => return Some(self.restart(Restart::Coarse(reason))),
         };
-        let attitude = Attitude::from_rot(&(coarse.c_ns(&solution, &self.earth) * self.c_sb));
-        let sd = coarse.attitude_sd(&solution, &self.earth, &self.config.filter.noise);
+        let c_nb = coarse.c_ns(&solution, &self.earth) * self.c_sb;
+        let attitude = Attitude::from_rot(&c_nb);
+        let p_phi = coarse.phi_covariance(&solution, &self.earth, &self.config.filter.noise);
+        let sd = AttitudeSd::from_phi_covariance(&c_nb, &p_phi);
         let start = solution.c_ns_at_start(&self.earth);
         let length = self.queue.len();
         self.start_over(start, length, 1)?;
@@ -735,14 +737,11 @@ impl<T: Real, const N: usize> Aligner<T, N> {
         }
         let c_nb = c_ns * self.c_sb;
         let p = filter.covariance();
-        let p_phi = filter.phi_covariance();
-        let sd_along = |j: Vec3<Nav, T>| math::sqrt((p_phi * j.vector()).dot(&j.vector()).max(T::zero()));
-        let [heading, pitch, roll] = Attitude::jacobian(&c_nb).map(sd_along);
         let sd_of = |block: usize| Vec3::from_vector(p.variances(block).map(|v| math::sqrt(v.max(T::zero()))));
         Some(Estimate {
             c_nb,
             attitude: Attitude::from_rot(&c_nb),
-            sd: AttitudeSd { heading, pitch, roll },
+            sd: AttitudeSd::from_phi_covariance(&c_nb, &filter.phi_covariance()),
             gyro_bias_s: filter.gyro_bias_s(),
             gyro_bias_sd: sd_of(BG),
             accel_bias_s: filter.accel_bias_s(),

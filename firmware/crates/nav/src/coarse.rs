@@ -17,7 +17,7 @@
 //! the rotor makes small) and the random walks in closed form for level axes. Not modelled: the
 //! velocity of a base that moves, which on water is the largest error.
 
-use frames::{AttitudeSd, Inertial, Nav, Real, Rot, RotIntegral, Sensor, SensorStart, Vec3, VecSum, math};
+use frames::{Inertial, Nav, Real, Rot, RotIntegral, Sensor, SensorStart, Vec3, VecSum, math};
 use nalgebra::Matrix3;
 
 use crate::{earth::Earth, increment::Increment, noise::ImuNoise};
@@ -152,43 +152,62 @@ impl<T: Real> Coarse<T> {
         (earth.c_ni(self.t) * solution.c_i_ib0 * self.c_ib0_s.get()).normalized()
     }
 
-    /// Predicted 1σ of the attitude that [`Coarse::c_ns`] gives now, from the IMU's figures.
-    pub fn attitude_sd(&self, solution: &CoarseSolution<T>, earth: &Earth<T>, noise: &ImuNoise<T>) -> AttitudeSd<T> {
+    /// Predicted covariance of the errors φ of the attitude that [`Coarse::c_ns`] gives now, from the IMU's
+    /// figures, rad². Correlation of heading with tilt is left out.
+    pub fn phi_covariance(&self, solution: &CoarseSolution<T>, earth: &Earth<T>, noise: &ImuNoise<T>) -> Matrix3<T> {
         let CoarseSolution { first, second, .. } = solution;
         let (t1, t2, t) = (first.t, second.t, self.t);
         let g = earth.gravity();
         let third = T::lit(1.0 / 3.0);
         let square = |x: T| x * x;
         let axes = (earth.c_ni(t) * solution.c_i_ib0).matrix();
-        let row_norm2 = |m: &Matrix3<T>, row: usize| (axes.row(row) * m).norm_squared();
+        let gyro_bias = square(noise.gyro_bias_sd) + square(noise.gyro_instability_sd);
+        let accel_bias = square(noise.accel_bias_sd);
 
-        // Mean tilt over [0, t1] and [0, t2] for a unit gyro bias; mean rotation for an accelerometer's.
-        let gyro = |p: &CoarsePoint<T>| p.bias_twice / p.t;
-        let accel = |p: &CoarsePoint<T>| p.bias_once / (p.t * g);
+        // φ of a unit gyro bias, mean over [0, t1] and [0, t2], and likewise what an accelerometer bias
+        // turns the mean vertical by: up × ∇/g.
+        let gyro = |p: &CoarsePoint<T>| axes * p.bias_twice / p.t;
+        let up = Matrix3::new(
+            T::zero(),
+            -T::one(),
+            T::zero(),
+            T::one(),
+            T::zero(),
+            T::zero(),
+            T::zero(),
+            T::zero(),
+            T::zero(),
+        );
+        let accel = |p: &CoarsePoint<T>| up * axes * p.bias_once / (p.t * g);
 
         // Heading: the tilt about east by which the second mean differs from the first, over the angle
         // by which Earth's rotation makes them differ, ω_ie cos L (t2 − t1)/2; and the drift about the
         // vertical since the time that the pair stands for, 2/3 (t1 + t2).
         let lever = T::lit(0.5) * earth.w_north() * (t2 - t1);
-        let east = square(noise.gyro_bias_sd) * row_norm2(&(gyro(second) - gyro(first)), 0)
-            + square(noise.accel_bias_sd) * row_norm2(&(accel(second) - accel(first)), 1)
+        let east = gyro_bias * (gyro(second) - gyro(first)).row(0).norm_squared()
+            + accel_bias * (accel(second) - accel(first)).row(0).norm_squared()
             + square(noise.angle_random_walk * (t2 - t1)) * third / t2
             + square(noise.velocity_random_walk / g) * (T::one() / t1 - T::one() / t2);
         let age = t - T::lit(2.0) * third * (t1 + t2);
-        let up = square(noise.gyro_bias_sd * age) + square(noise.angle_random_walk) * age.abs();
+        let north = east / square(lever);
+        let heading = north + gyro_bias * square(age) + square(noise.angle_random_walk) * age.abs();
 
         // Tilt: the gyros carry the vertical from its mean over [0, t1] to now.
-        let tilt = |row: usize| {
-            square(noise.gyro_bias_sd) * row_norm2(&(self.bias_once - gyro(first)), row)
-                + square(noise.accel_bias_sd) * row_norm2(&accel(first), 1 - row)
-                + square(noise.angle_random_walk) * (t - T::lit(2.0) * third * t1)
-                + square(noise.velocity_random_walk / g) / t1
-        };
-        AttitudeSd {
-            heading: math::sqrt(east / square(lever) + up),
-            pitch: math::sqrt(tilt(0)),
-            roll: math::sqrt(tilt(1)),
+        let carried = axes * self.bias_once - gyro(first);
+        let mean = accel(first);
+        let white = square(noise.angle_random_walk) * (t - T::lit(2.0) * third * t1)
+            + square(noise.velocity_random_walk / g) / t1;
+        let mut p = carried * carried.transpose() * gyro_bias
+            + mean * mean.transpose() * accel_bias
+            + Matrix3::identity() * white;
+        // Since then n has turned about north, and with a wrong north about east as well.
+        p[(0, 0)] += north * square(earth.w_north() * (t - T::lit(0.5) * t1));
+        for axis in 0..2 {
+            p[(axis, 2)] = T::zero();
+            p[(2, axis)] = T::zero();
         }
+        p[(2, 2)] = heading;
+        p
     }
 }
 
