@@ -1,0 +1,553 @@
+//! The board: NUCLEO-F429ZI. A second board needs another file like this one, and no other.
+//!
+//! What the application asks for comes out as its own traits; which pin, timer or stream stands behind it is nobody
+//! else's business. Wiring is in `docs/wiring.md`.
+//!
+//! | unit | use | figures |
+//! |---|---|---|
+//! | clock | HSE bypassed, 8 MHz from the debugger's MCO; PLL | 8 MHz / 4 × 168 / 2 = 168 MHz; APB1 42, APB2 84 MHz |
+//! | SPI1 | IMU | 84 MHz / 16 = 5.25 MHz: a burst allows 6 |
+//! | SPI3 | encoder | 42 MHz / 8 = 5.25 MHz: 9 µs for an angle |
+//! | TIM1 | bridge, centre-aligned | 168 MHz / (2 × 4200) = 20 kHz, 12 bits |
+//! | TIM5 | clock of the unit | 1 µs |
+//! | USART2 | NMEA out, commands in | 115200 baud |
+//! | IWDG | watchdog | [`WATCHDOG_US`] by a clock of 17 to 47 kHz where 32 is meant |
+//! | flash, bank 2, sectors 12–15 | settings | 4 × 16 kB |
+//!
+//! # Priorities
+//!
+//! ```text
+//! 0  EXTI0       data-ready: the stamp is late by no more than a critical section
+//! 2  DMA, TIM5, USART2, FLASH    short; they wake tasks
+//! 6  UART7       software interrupt: the executor of the motor's loop
+//! 7  UART8       software interrupt: the executor of the sampling
+//!    thread      everything else
+//! ```
+
+use core::cell::Cell;
+use core::convert::Infallible;
+use core::future::poll_fn;
+use core::mem;
+use core::task::Poll;
+
+use app::hal::{ChangeOver, Cutoff, Edge, EdgeCapture, ResetCause, Watchdog};
+use drivers::motor::{Duty, MotorDriver, ThreePhase};
+use embassy_executor::{InterruptExecutor, SendSpawner};
+use embassy_stm32::exti::{ExtiInput, TriggerEdge};
+use embassy_stm32::flash::{self, Bank2Region1, Flash};
+use embassy_stm32::gpio::{AfType, Flex, Input, Level, Output, OutputType, Pull, Speed};
+use embassy_stm32::interrupt::{InterruptExt, Priority};
+use embassy_stm32::mode::{Async, Blocking};
+use embassy_stm32::rcc::{APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv, PllSource, Sysclk};
+use embassy_stm32::spi::mode::Master;
+use embassy_stm32::spi::{self, Spi};
+use embassy_stm32::time::Hertz;
+use embassy_stm32::timer::Channel;
+use embassy_stm32::timer::complementary_pwm::{BreakInputPolarity, ComplementaryPwm, Ossi};
+use embassy_stm32::timer::low_level::CountingMode;
+use embassy_stm32::timer::simple_pwm::PwmPin;
+use embassy_stm32::usart::{self, Uart};
+use embassy_stm32::wdg::IndependentWatchdog;
+use embassy_stm32::{Config, Peri, Peripherals, bind_interrupts, dma, interrupt, pac, peripherals};
+use embassy_sync::blocking_mutex::Mutex;
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::waitqueue::AtomicWaker;
+use embassy_time::{Delay, Instant, Timer};
+use embedded_hal::delay::DelayNs as _;
+use embedded_hal_async::spi::{ErrorType, Operation, SpiBus, SpiDevice};
+
+/// Clock of the core, Hz.
+const CORE_HZ: u32 = 168_000_000;
+/// Clock of both SPI buses, Hz.
+const SPI_HZ: u32 = 5_250_000;
+/// Frequency of the bridge's PWM, Hz: above hearing, and as slow as that allows, for the bridge's losses.
+const PWM_HZ: u32 = 20_000;
+/// Rate of the serial port.
+const BAUD: u32 = 115_200;
+/// Time without being fed until the watchdog resets, µs. 0.5 s at 32 kHz, at 47 kHz still 0.34.
+pub const WATCHDOG_US: u32 = 500_000;
+/// Delays within a bus transaction up to this length are waited for where they stand, ns: an alarm would take as long.
+const SPIN_NS: u32 = 20_000;
+
+/// The resources of the unit: each is named once, here, and handed out by type.
+macro_rules! resources {
+    (
+        pins { $($signal:ident: $pin:ident = $function:literal,)* }
+        units { $($unit:ident: $peripheral:ident,)* }
+    ) => {
+        /// The pin of each signal.
+        #[allow(non_camel_case_types, dead_code, reason = "named as the signals are; for those that need a pin by type")]
+        mod pin {
+            use embassy_stm32::peripherals;
+            $(#[doc = $function] pub type $signal = peripherals::$pin;)*
+        }
+        struct Pins { $(#[doc = $function] $signal: Peri<'static, pin::$signal>,)* }
+        struct Units { $($unit: Peri<'static, peripherals::$peripheral>,)* }
+
+        fn split(p: Peripherals) -> (Pins, Units) {
+            (Pins { $($signal: p.$pin,)* }, Units { $($unit: p.$peripheral,)* })
+        }
+    };
+}
+
+// The pin map. docs/wiring.md has the same; a test compares them, by the lines of this block.
+resources! {
+    pins {
+        imu_select: PA4 = "GPIO out, SPI1 NSS",
+        imu_clock: PA5 = "SPI1 SCK",
+        imu_miso: PA6 = "SPI1 MISO",
+        imu_mosi: PB5 = "SPI1 MOSI",
+        imu_ready: PC0 = "EXTI0",
+        encoder_select: PA15 = "GPIO out, SPI3 NSS",
+        encoder_clock: PC10 = "SPI3 SCK",
+        encoder_miso: PC11 = "SPI3 MISO",
+        encoder_mosi: PC12 = "SPI3 MOSI",
+        motor_a: PE9 = "TIM1 CH1",
+        motor_b: PE11 = "TIM1 CH2",
+        motor_c: PE13 = "TIM1 CH3",
+        motor_fault: PE15 = "TIM1 BKIN",
+        motor_enable: PF15 = "GPIO out",
+        home_below: PF13 = "GPIO in",
+        home_above: PF14 = "GPIO in",
+        serial_tx: PD5 = "USART2 TX",
+        serial_rx: PD6 = "USART2 RX",
+    }
+    units {
+        imu_spi: SPI1,
+        imu_tx: DMA2_CH3,
+        imu_rx: DMA2_CH0,
+        imu_line: EXTI0,
+        encoder_spi: SPI3,
+        encoder_tx: DMA1_CH7,
+        encoder_rx: DMA1_CH0,
+        motor_timer: TIM1,
+        serial: USART2,
+        serial_dma_tx: DMA1_CH6,
+        serial_dma_rx: DMA1_CH5,
+        watchdog: IWDG,
+        flash: FLASH,
+    }
+}
+
+bind_interrupts!(struct Irqs {
+    DMA2_STREAM3 => dma::InterruptHandler<peripherals::DMA2_CH3>;
+    DMA2_STREAM0 => dma::InterruptHandler<peripherals::DMA2_CH0>;
+    DMA1_STREAM7 => dma::InterruptHandler<peripherals::DMA1_CH7>;
+    DMA1_STREAM0 => dma::InterruptHandler<peripherals::DMA1_CH0>;
+    DMA1_STREAM6 => dma::InterruptHandler<peripherals::DMA1_CH6>;
+    DMA1_STREAM5 => dma::InterruptHandler<peripherals::DMA1_CH5>;
+    USART2 => usart::InterruptHandler<peripherals::USART2>;
+    FLASH => flash::InterruptHandler;
+});
+
+/// A board that is up: clocks run, the motor is off.
+pub struct Board {
+    /// Why it came up.
+    pub reset_cause: ResetCause,
+    /// The IMU's bus.
+    pub imu: Device,
+    /// The IMU's data-ready.
+    pub imu_ready: DataReady,
+    /// The encoder's bus.
+    pub encoder: Device,
+    /// The bridge's three duties.
+    pub bridge: Bridge,
+    /// The bridge's enable and fault lines.
+    pub driver: MotorDriver<Output<'static>, Flex<'static>>,
+    /// The home switch: common to 3V3, so that a broken wire reads low on both.
+    pub home: ChangeOver<Input<'static>, Input<'static>>,
+    /// The serial port.
+    #[expect(dead_code, reason = "set up for the NMEA output, which is not written yet")]
+    pub serial: Uart<'static, Async>,
+    /// The watchdog, not started yet.
+    pub watchdog: Iwdg,
+    /// The flash of the settings.
+    #[expect(dead_code, reason = "set up for the settings store, which is not written yet")]
+    pub settings: Bank2Region1<'static, flash::Async>,
+}
+
+impl Board {
+    /// Starts the clocks and takes the board's resources. Once: a second call panics.
+    pub fn start() -> Self {
+        let (pins, units) = split(embassy_stm32::init(config()));
+        fast_flash();
+        priorities();
+
+        let mut bus = spi::Config::default();
+        bus.mode = spi::MODE_3;
+        bus.frequency = Hertz(SPI_HZ);
+        let imu_spi = Spi::new(
+            units.imu_spi,
+            pins.imu_clock,
+            pins.imu_mosi,
+            pins.imu_miso,
+            units.imu_tx,
+            units.imu_rx,
+            Irqs,
+            bus,
+        );
+        let encoder_spi = Spi::new(
+            units.encoder_spi,
+            pins.encoder_clock,
+            pins.encoder_mosi,
+            pins.encoder_miso,
+            units.encoder_tx,
+            units.encoder_rx,
+            Irqs,
+            bus,
+        );
+
+        let enable = Output::new(pins.motor_enable, Level::Low, Speed::Low);
+        let mut fault = Flex::new(pins.motor_fault);
+        // As TIM1_BKIN (AF1) the line takes the outputs away by itself, in nanoseconds; its level can still be read.
+        fault.set_as_af_unchecked(1, AfType::input(Pull::Up));
+        let phases = (
+            PwmPin::new(pins.motor_a, OutputType::PushPull),
+            PwmPin::new(pins.motor_b, OutputType::PushPull),
+            PwmPin::new(pins.motor_c, OutputType::PushPull),
+        );
+        let bridge = Bridge::new(ComplementaryPwm::new(
+            units.motor_timer,
+            Some(phases.0),
+            None,
+            Some(phases.1),
+            None,
+            Some(phases.2),
+            None,
+            None,
+            None,
+            Hertz(PWM_HZ),
+            CountingMode::CenterAlignedBothInterrupts,
+        ));
+        let Ok(driver) = MotorDriver::new(enable, fault) else {
+            defmt::unreachable!("a pin of this chip cannot fail")
+        };
+
+        let mut port = usart::Config::default();
+        port.baudrate = BAUD;
+        let Ok(serial) = Uart::new(
+            units.serial,
+            pins.serial_rx,
+            pins.serial_tx,
+            units.serial_dma_tx,
+            units.serial_dma_rx,
+            Irqs,
+            port,
+        ) else {
+            defmt::panic!("{} baud cannot be had from APB1", BAUD)
+        };
+
+        Self {
+            reset_cause: reset_cause(),
+            imu: Device::new(imu_spi, Output::new(pins.imu_select, Level::High, Speed::VeryHigh)),
+            imu_ready: DataReady::new(ExtiInput::new_blocking(
+                pins.imu_ready,
+                units.imu_line,
+                Pull::Down,
+                TriggerEdge::Rising,
+            )),
+            encoder: Device::new(
+                encoder_spi,
+                Output::new(pins.encoder_select, Level::High, Speed::VeryHigh),
+            ),
+            bridge,
+            driver,
+            home: ChangeOver {
+                below: Input::new(pins.home_below, Pull::Down),
+                above: Input::new(pins.home_above, Pull::Down),
+            },
+            serial,
+            watchdog: Iwdg(IndependentWatchdog::new(units.watchdog, WATCHDOG_US)),
+            settings: Flash::new(units.flash, Irqs).into_regions().bank2_region1,
+        }
+    }
+}
+
+fn config() -> Config {
+    let mut config = Config::default();
+    config.rcc.hse = Some(Hse {
+        freq: Hertz(8_000_000),
+        mode: HseMode::Bypass,
+    });
+    config.rcc.pll_src = PllSource::HSE;
+    config.rcc.pll = Some(Pll {
+        prediv: PllPreDiv::DIV4,
+        mul: PllMul::MUL168,
+        divp: Some(PllPDiv::DIV2),
+        divq: Some(PllQDiv::DIV7),
+        divr: None,
+    });
+    config.rcc.sys = Sysclk::PLL1_P;
+    config.rcc.apb1_pre = APBPrescaler::DIV4;
+    config.rcc.apb2_pre = APBPrescaler::DIV2;
+    config.dma_interrupt_priority = Priority::P2;
+    config
+}
+
+/// The HAL sets the wait states and leaves the caches off: five wait states on every jump. Prefetch and both caches
+/// make up for nearly all of them.
+fn fast_flash() {
+    pac::FLASH.acr().modify(|w| {
+        w.set_prften(true);
+        w.set_icen(true);
+        w.set_dcen(true);
+    });
+}
+
+fn priorities() {
+    interrupt::EXTI0.set_priority(Priority::P0);
+    interrupt::TIM5.set_priority(Priority::P2);
+    interrupt::USART2.set_priority(Priority::P2);
+    interrupt::FLASH.set_priority(Priority::P2);
+    interrupt::UART7.set_priority(Priority::P6);
+    interrupt::UART8.set_priority(Priority::P7);
+}
+
+fn reset_cause() -> ResetCause {
+    let csr = pac::RCC.csr().read();
+    pac::RCC.csr().modify(|w| w.set_rmvf(true));
+    // Every reset pulls the reset line as well, and power-on sets the brown-out flag: from the rarest to the commonest.
+    if csr.wdgrstf() || csr.wwdgrstf() {
+        ResetCause::Watchdog
+    } else if csr.sftrstf() {
+        ResetCause::Software
+    } else if csr.porrstf() {
+        ResetCause::PowerOn
+    } else if csr.borrstf() {
+        ResetCause::BrownOut
+    } else if csr.padrstf() {
+        ResetCause::Pin
+    } else {
+        ResetCause::Unknown
+    }
+}
+
+/// Ends the program.
+pub fn reset() -> ! {
+    cortex_m::peripheral::SCB::sys_reset()
+}
+
+/// Waits, with interrupts off.
+pub fn spin_ms(ms: u32) {
+    cortex_m::asm::delay(CORE_HZ / 1000 * ms);
+}
+
+// ---------------------------------------------------------------------------------------------- motor
+
+/// The bridge's duties, on TIM1.
+pub struct Bridge(ComplementaryPwm<'static, peripherals::TIM1>);
+
+impl Bridge {
+    const PHASES: [Channel; 3] = [Channel::Ch1, Channel::Ch2, Channel::Ch3];
+
+    fn new(mut pwm: ComplementaryPwm<'static, peripherals::TIM1>) -> Self {
+        pwm.set_master_output_enable(false);
+        // Without MOE the timer goes on driving its pins, all low: no line of the bridge ever floats.
+        pwm.set_off_state_selection_idle(Ossi::IDLE_LEVEL);
+        // nFAULT. What the break took away only `set_duties` gives back, and not while the line is low.
+        pwm.set_automatic_output_enable(false);
+        pwm.set_break_polarity(BreakInputPolarity::ACTIVE_LOW);
+        pwm.set_break_enable(true);
+        for phase in Self::PHASES {
+            pwm.set_duty(phase, 0);
+            pwm.enable(phase);
+        }
+        Self(pwm)
+    }
+}
+
+impl ThreePhase for Bridge {
+    fn set_duties(&mut self, duties: [Duty; 3]) {
+        let top = self.0.get_max_duty() as u16;
+        // No update event between the three, so that one period has all of them.
+        pac::TIM1.cr1().modify(|w| w.set_udis(true));
+        for (phase, duty) in Self::PHASES.into_iter().zip(duties) {
+            self.0.set_duty(phase, duty.compare(top).into());
+        }
+        pac::TIM1.cr1().modify(|w| w.set_udis(false));
+        if !self.0.get_master_output_enable() {
+            // The duties of before the outputs went off are still at work: replace them first.
+            pac::TIM1.egr().write(|w| w.set_ug(true));
+            self.0.set_master_output_enable(true);
+        }
+    }
+
+    fn outputs_off(&mut self) {
+        self.0.set_master_output_enable(false);
+    }
+}
+
+/// Takes the motor's outputs away by register, whoever owns them.
+pub fn motor_off() {
+    pac::TIM1.bdtr().modify(|w| w.set_moe(false));
+    // SAFETY: the pin has an owner, who is not asked. The one access is a write to BSRR, which changes no other pin and
+    // nothing of the owner's state.
+    let mut enable = Flex::new(unsafe { pin::motor_enable::steal() });
+    enable.set_low();
+    // To drop it would let go of the pin.
+    mem::forget(enable);
+}
+
+/// [`motor_off`] for the supervisor.
+pub struct MotorCutoff;
+
+impl Cutoff for MotorCutoff {
+    fn cut(&mut self) {
+        // The motor's loop may interrupt between reading and writing BDTR; then its `outputs_off` is what remains, or
+        // this is.
+        cortex_m::interrupt::free(|_| motor_off());
+    }
+}
+
+// ---------------------------------------------------------------------------------------------- executors
+
+static MOTOR_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
+static SAMPLING_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
+
+/// Starts the executor of the motor's loop: it interrupts all other tasks.
+pub fn motor_executor() -> SendSpawner {
+    MOTOR_EXECUTOR.start(interrupt::UART7)
+}
+
+/// Starts the executor of the sampling: it interrupts what runs in the thread.
+pub fn sampling_executor() -> SendSpawner {
+    SAMPLING_EXECUTOR.start(interrupt::UART8)
+}
+
+// Interrupts of units that the board does not use, set pending by software.
+#[interrupt]
+unsafe fn UART7() {
+    // SAFETY: this is the handler of the interrupt the executor was started with, and nobody else calls it.
+    unsafe { MOTOR_EXECUTOR.on_interrupt() }
+}
+
+#[interrupt]
+unsafe fn UART8() {
+    // SAFETY: as above.
+    unsafe { SAMPLING_EXECUTOR.on_interrupt() }
+}
+
+// ---------------------------------------------------------------------------------------------- data-ready
+
+static EDGES: Mutex<CriticalSectionRawMutex, Cell<(u64, u32)>> = Mutex::new(Cell::new((0, 0)));
+static EDGE_WAKER: AtomicWaker = AtomicWaker::new();
+
+// The stamp of a sample is taken here: the task that reads it wakes late by all that interrupts it.
+#[interrupt]
+fn EXTI0() {
+    let t_us = Instant::now().as_micros();
+    pac::EXTI.pr(0).write(|w| w.set_line(0, true));
+    EDGES.lock(|edges| edges.set((t_us, edges.get().1.saturating_add(1))));
+    EDGE_WAKER.wake();
+}
+
+/// Data-ready of the IMU.
+pub struct DataReady {
+    _line: ExtiInput<'static, Blocking>,
+}
+
+impl DataReady {
+    fn new(line: ExtiInput<'static, Blocking>) -> Self {
+        interrupt::EXTI0.unpend();
+        // SAFETY: all the handler touches is behind critical sections, and static.
+        unsafe { interrupt::EXTI0.enable() };
+        Self { _line: line }
+    }
+}
+
+impl EdgeCapture for DataReady {
+    async fn edge(&mut self) -> Edge {
+        poll_fn(|context| {
+            EDGE_WAKER.register(context.waker());
+            let (t_us, count) = EDGES.lock(|edges| {
+                let (t_us, count) = edges.get();
+                edges.set((t_us, 0));
+                (t_us, count)
+            });
+            match count.checked_sub(1) {
+                Some(overrun) => Poll::Ready(Edge { t_us, overrun }),
+                None => Poll::Pending,
+            }
+        })
+        .await
+    }
+}
+
+// ---------------------------------------------------------------------------------------------- buses
+
+/// One device alone on its bus.
+///
+/// Cancellation: a dropped transaction stops the DMA and releases chip select.
+pub struct Device {
+    bus: Spi<'static, Async, Master>,
+    select: Output<'static>,
+}
+
+impl Device {
+    fn new(bus: Spi<'static, Async, Master>, select: Output<'static>) -> Self {
+        Self { bus, select }
+    }
+}
+
+struct Selected<'a>(&'a mut Output<'static>);
+
+impl<'a> Selected<'a> {
+    fn new(select: &'a mut Output<'static>) -> Self {
+        select.set_low();
+        Self(select)
+    }
+}
+
+impl Drop for Selected<'_> {
+    fn drop(&mut self) {
+        self.0.set_high();
+    }
+}
+
+impl ErrorType for Device {
+    type Error = spi::Error;
+}
+
+impl SpiDevice for Device {
+    async fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), spi::Error> {
+        let _selected = Selected::new(&mut self.select);
+        for operation in operations {
+            match operation {
+                Operation::Read(words) => SpiBus::read(&mut self.bus, words).await?,
+                Operation::Write(words) => SpiBus::write(&mut self.bus, words).await?,
+                Operation::Transfer(read, write) => SpiBus::transfer(&mut self.bus, read, write).await?,
+                Operation::TransferInPlace(words) => SpiBus::transfer_in_place(&mut self.bus, words).await?,
+                Operation::DelayNs(ns) if *ns <= SPIN_NS => Delay.delay_ns(*ns),
+                Operation::DelayNs(ns) => Timer::after_micros(u64::from(ns.div_ceil(1000))).await,
+            }
+        }
+        Ok(())
+    }
+}
+
+// ---------------------------------------------------------------------------------------------- watchdog
+
+/// The independent watchdog.
+pub struct Iwdg(IndependentWatchdog<'static, peripherals::IWDG>);
+
+impl Iwdg {
+    /// Starts it; from here on it is fed or it bites.
+    pub fn start(&mut self) {
+        // A breakpoint is no fault.
+        pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
+        self.0.unleash();
+    }
+}
+
+impl Watchdog for Iwdg {
+    fn feed(&mut self) {
+        self.0.pet();
+    }
+}
+
+const _: () = {
+    // The pins cannot fail, which `Board::start` relies on.
+    const fn infallible<P: embedded_hal::digital::ErrorType<Error = Infallible>>() {}
+    infallible::<Output<'static>>();
+    infallible::<Flex<'static>>();
+};

@@ -1,0 +1,125 @@
+//! The application's bodies as tasks of this image: concrete types, statics, and which executor runs what.
+//!
+//! ```text
+//! interrupt, priority 6   motor        1 kHz: encoder, control, duties
+//! interrupt, priority 7   sampling     202 Hz: IMU at its data-ready
+//! thread                  alignment    up to 11 ms a step while it catches up
+//!                         supervisor   200 Hz: modes, faults, watchdog
+//!                         report       1 Hz: the estimate to the log
+//! ```
+//!
+//! The sampling must not wait for the alignment: 11 ms are two samples, and the IMU keeps only the last one.
+
+use app::hal::{ChangeOver, MagneticEncoder};
+use app::motor::Drive;
+use app::rotor::Rotor;
+use app::shared::Shared;
+use app::{alignment, motor, sampling, supervisor};
+use drivers::mt6835::Mt6835;
+use embassy_executor::Spawner;
+use embassy_stm32::gpio::{Flex, Input, Output};
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_time::Delay;
+use frames::units::DEG;
+use nav::aligner::{Aligner, QUEUE};
+use static_cell::StaticCell;
+
+use crate::board::{self, Board, Bridge, DataReady, Device, Iwdg, MotorCutoff};
+use crate::params;
+
+#[cfg(not(feature = "icm42688"))]
+type Imu = drivers::adis16495::Adis16495<Device, Delay>;
+#[cfg(feature = "icm42688")]
+type Imu = drivers::icm42688::Icm42688<Device, Delay>;
+
+type Encoder = MagneticEncoder<Device>;
+type Motor = Drive<Output<'static>, Flex<'static>, Bridge, ChangeOver<Input<'static>, Input<'static>>>;
+
+static SHARED: Shared<CriticalSectionRawMutex> = Shared::new();
+static ROTOR: StaticCell<Rotor> = StaticCell::new();
+static ALIGNER: StaticCell<Aligner<f32, QUEUE>> = StaticCell::new();
+
+/// Starts every task. Panics where the parameters are refused: nothing has moved then.
+pub fn start(spawner: Spawner, mut board: Board) {
+    let Ok(rotor) = Rotor::new(params::rotor()) else {
+        defmt::panic!("params.rs: the rotor's figures are refused")
+    };
+    let Ok(aligner) = Aligner::new(params::aligner()) else {
+        defmt::panic!("params.rs: the aligner's figures are refused")
+    };
+    let rotor = ROTOR.init(rotor);
+    let aligner = ALIGNER.init(aligner);
+    let encoder = MagneticEncoder {
+        driver: Mt6835::new(board.encoder),
+        config: params::ENCODER,
+    };
+    let drive = Drive {
+        driver: board.driver,
+        pwm: board.bridge,
+        home: board.home,
+    };
+    let imu = Imu::new(board.imu, Delay);
+
+    board.watchdog.start();
+    let (Ok(motor), Ok(sampling), Ok(alignment), Ok(supervisor), Ok(report)) = (
+        motor(encoder, drive, rotor),
+        sampling(imu, board.imu_ready),
+        alignment(aligner),
+        supervisor(board.watchdog),
+        report(),
+    ) else {
+        defmt::unreachable!("each task is spawned once")
+    };
+    board::motor_executor().spawn(motor);
+    board::sampling_executor().spawn(sampling);
+    spawner.spawn(alignment);
+    spawner.spawn(supervisor);
+    spawner.spawn(report);
+}
+
+#[embassy_executor::task]
+async fn motor(encoder: Encoder, drive: Motor, rotor: &'static mut Rotor) -> ! {
+    motor::run(&SHARED, encoder, drive, rotor, params::correction()).await
+}
+
+#[embassy_executor::task]
+async fn sampling(imu: Imu, edges: DataReady) -> ! {
+    sampling::run(&SHARED, imu, params::imu(), edges, params::sampling()).await
+}
+
+#[embassy_executor::task]
+async fn alignment(aligner: &'static mut Aligner<f32, QUEUE>) -> ! {
+    alignment::run(&SHARED, aligner, params::alignment()).await
+}
+
+#[embassy_executor::task]
+async fn supervisor(watchdog: Iwdg) -> ! {
+    supervisor::run(&SHARED, MotorCutoff, watchdog, params::supervisor()).await
+}
+
+/// The estimate, once a second, until the serial port has it.
+#[embassy_executor::task]
+async fn report() {
+    let Some(mut navigation) = SHARED.navigation.receiver() else {
+        defmt::unreachable!("a watch has room for its first reader")
+    };
+    let deg = |x: f32| x / DEG as f32;
+    let mut next_us = 0;
+    loop {
+        let now = navigation.changed().await;
+        if now.t_us < next_us {
+            continue;
+        }
+        next_us = now.t_us + 1_000_000;
+        if let Some(estimate) = now.estimate {
+            let (attitude, sd) = (estimate.attitude, estimate.sd);
+            defmt::info!(
+                "heading {} deg, sd {}; pitch {}, roll {}",
+                deg(attitude.heading),
+                deg(sd.heading),
+                deg(attitude.pitch),
+                deg(attitude.roll)
+            );
+        }
+    }
+}

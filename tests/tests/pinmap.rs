@@ -1,0 +1,111 @@
+//! The pin map of `docs/wiring.md` is the one that the image is built from.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "a test stops at the first surprise"
+)]
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+/// Signal to (pin, function).
+type PinMap = BTreeMap<String, (String, String)>;
+
+fn read(path: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path);
+    fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// The lines `signal: PIN = "function",` of the block `pins { … }`.
+fn of_board(source: &str) -> PinMap {
+    let (_, rest) = source.split_once("\n    pins {\n").expect("a block of pins");
+    let (block, _) = rest.split_once("\n    }\n").expect("its end");
+    collect(block.lines().map(|line| {
+        let (signal, rest) = line.trim().split_once(": ").expect(line);
+        let (pin, function) = rest.split_once(" = ").expect(line);
+        let function = function.strip_suffix(',').expect(line).trim_matches('"');
+        (signal, pin, function)
+    }))
+}
+
+/// The rows of the one table whose first cell is a signal in backticks.
+fn of_docs(page: &str) -> PinMap {
+    collect(page.lines().filter_map(|line| {
+        let mut cells = line.strip_prefix("| `")?.split(" | ");
+        let signal = cells.next()?.strip_suffix('`')?;
+        Some((signal, cells.next()?, cells.next()?))
+    }))
+}
+
+fn collect<'a>(rows: impl Iterator<Item = (&'a str, &'a str, &'a str)>) -> PinMap {
+    let mut map = PinMap::new();
+    for (signal, pin, function) in rows {
+        let twice = map.insert(signal.into(), (pin.into(), function.into()));
+        assert!(twice.is_none(), "{signal} is listed twice");
+    }
+    map
+}
+
+/// Names of pins in `text`: P, a port, a number, and no letter or digit around.
+fn pins(text: &str) -> impl Iterator<Item = &str> {
+    text.split(|c: char| !c.is_alphanumeric() && c != '_').filter(|word| {
+        let mut chars = word.chars();
+        chars.next() == Some('P')
+            && chars.next().is_some_and(|port| port.is_ascii_uppercase())
+            && chars.as_str().parse::<u8>().is_ok_and(|number| number < 16)
+    })
+}
+
+#[test]
+fn the_docs_have_the_pins_of_the_board() {
+    let (board, docs) = (
+        of_board(&read("firmware/src/board.rs")),
+        of_docs(&read("docs/wiring.md")),
+    );
+    assert!(board.len() > 10, "only {} pins found", board.len());
+    assert_eq!(board, docs);
+}
+
+#[test]
+fn no_pin_has_two_signals() {
+    let board = of_board(&read("firmware/src/board.rs"));
+    let mut pins: Vec<_> = board.values().map(|(pin, _)| pin).collect();
+    pins.sort();
+    pins.dedup();
+    assert_eq!(pins.len(), board.len());
+}
+
+#[test]
+fn the_image_names_a_pin_nowhere_else() {
+    let board = of_board(&read("firmware/src/board.rs"));
+    for path in ["board.rs", "main.rs", "tasks.rs", "params.rs", "fault.rs"] {
+        let source = read(&format!("firmware/src/{path}"));
+        // P0 to P15 without a port are priorities; `pins` wants a port.
+        let named = pins(&source).count();
+        let expected = if path == "board.rs" { board.len() } else { 0 };
+        assert_eq!(named, expected, "{path}: {:?}", pins(&source).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn a_change_is_found() {
+    let (source, page) = (read("firmware/src/board.rs"), read("docs/wiring.md"));
+    let docs = of_docs(&page);
+    for (signal, (pin, function)) in of_board(&source) {
+        let line = format!("{signal}: {pin} = \"{function}\",");
+        for changed in [
+            format!("{signal}: PG7 = \"{function}\","),
+            format!("{signal}: {pin} = \"other\","),
+            format!("{signal}_: {pin} = \"{function}\","),
+        ] {
+            assert_ne!(of_board(&source.replace(&line, &changed)), docs, "{changed}");
+        }
+        let row = format!("| `{signal}` | {pin} |");
+        assert_ne!(
+            of_docs(&page.replace(&row, &format!("| `{signal}` | PG7 |"))),
+            docs,
+            "{row}"
+        );
+    }
+}
