@@ -16,6 +16,7 @@ use hal_sim::report;
 use hal_sim::scenario::Scenario;
 use hal_sim::simulate::{self, Moment, Row, RunResult};
 use hal_sim::unit::Unit;
+use hal_sim::unit_sim::{self, Line, UnitResult};
 use indicatif::{ProgressBar, ProgressStyle};
 use nav::aligner::Event;
 use nav::rotor::RotorConfig;
@@ -46,6 +47,8 @@ enum Command {
     MonteCarlo(MonteCarloArgs),
     /// Run the core on a recorded log
     Replay(ReplayArgs),
+    /// Simulate the whole unit: application, devices, buses and motor in virtual time
+    Unit(UnitArgs),
     /// List the built-in scenarios, or print one as a start for your own
     Scenarios {
         /// Name of the scenario to print
@@ -118,6 +121,28 @@ struct MonteCarloArgs {
 }
 
 #[derive(Args)]
+struct UnitArgs {
+    /// Built-in scenario, or a TOML file; its `[[fault]]` entries break things
+    #[arg(long, short, default_value = "paper-sim")]
+    scenario: String,
+    /// Seed of every chance in the run
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Time from the beginning of the alignment to the end of the run, s, instead of the scenario's
+    #[arg(long, value_name = "S")]
+    seconds: Option<f64>,
+    /// Fine filter
+    #[arg(long, value_enum, default_value = "kf")]
+    method: Method,
+    /// Least severe level of the unit's log that is printed
+    #[arg(long, value_name = "LEVEL", default_value = "info")]
+    log_level: log::LevelFilter,
+    /// Print the result as JSON, and the log to stderr
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
 struct ReplayArgs {
     /// CSV log: t_s, gyro_x/y/z_rad_s, accel_x/y/z_m_s2, encoder_rad by header, in any order
     log: PathBuf,
@@ -145,6 +170,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Run(args) => run(&args, cli.quiet),
         Command::MonteCarlo(args) => monte_carlo(&args, cli.quiet),
         Command::Replay(args) => replay(&args, cli.quiet),
+        Command::Unit(args) => unit(&args, cli.quiet),
         Command::Scenarios { name } => scenarios(name.as_deref()),
     };
     done.unwrap_or_else(|message| {
@@ -540,6 +566,126 @@ fn replay_table(result: &Replay) -> String {
     }
     if let (Some([gx, gy, gz]), Some([ax, ay, az])) = (result.gyro_bias_deg_h, result.accel_bias_ug) {
         text += &format!("gyro bias  {gx:8.2} {gy:8.2} {gz:8.2} °/h\naccel bias {ax:8.1} {ay:8.1} {az:8.1} µg\n");
+    }
+    text
+}
+
+/// Prints the unit's log as it comes.
+struct UnitObserver {
+    bar: ProgressBar,
+    level: log::LevelFilter,
+    quiet: bool,
+    json: bool,
+    problem: Option<String>,
+}
+
+impl unit_sim::Observer for UnitObserver {
+    fn line(&mut self, line: &Line) {
+        if line.level > self.level {
+            return;
+        }
+        let Self {
+            bar,
+            quiet,
+            json,
+            problem,
+            ..
+        } = self;
+        bar.suspend(|| {
+            if !*json {
+                *problem = print(&format!("{line}\n")).err().or(problem.take());
+            } else if !*quiet {
+                eprintln!("{line}");
+            }
+        });
+    }
+
+    fn time(&mut self, t_s: f64) {
+        self.bar.set_position(t_s as u64);
+    }
+}
+
+fn unit(args: &UnitArgs, quiet: bool) -> Done {
+    let scenario = scenario(&args.scenario, args.seconds)?;
+    let mut observer = UnitObserver {
+        bar: bar(scenario.run.duration_s as u64, "s", quiet),
+        level: args.log_level,
+        quiet,
+        json: args.json,
+        problem: None,
+    };
+    let begun = std::time::Instant::now();
+    let result = unit_sim::run(&scenario, args.seed, args.method, &mut observer).map_err(words)?;
+    observer.bar.finish_and_clear();
+    if let Some(problem) = observer.problem {
+        return Err(problem);
+    }
+    let ratio = result.t_s / begun.elapsed().as_secs_f64().max(1e-9);
+    if args.json {
+        print_json(&result)?;
+    } else {
+        print(&unit_table(&result))?;
+    }
+    if !quiet {
+        eprintln!("{ratio:.0} times real time");
+    }
+    Ok(exit(result.state))
+}
+
+/// The closing table of a run of the unit.
+fn unit_table(result: &UnitResult) -> String {
+    let time = |t: Option<f64>| t.map_or("never".to_owned(), |t| format!("{t:.1} s"));
+    let mut text = format!(
+        "{}, seed {}, {}: {} at {:.1} s; began to align at {}, first aligned at {}\n",
+        result.scenario,
+        result.seed,
+        result.method.name(),
+        result.state,
+        result.t_s,
+        time(result.aligning_at_s),
+        time(result.aligned_at_s)
+    );
+    text += "modes:";
+    for at in &result.modes {
+        text += &format!(" {} {:.2} s,", at.mode, at.t_s);
+    }
+    text.truncate(text.trim_end_matches(',').len());
+    let s = &result.samples;
+    text += &format!(
+        "\nsamples: {} received, {} lost ({} edges lost by the simulator), {} repeated, {} failed transfers, {} overruns, {} saturated\n",
+        s.received, s.lost, s.edges_lost, s.repeated, s.transfers, s.overruns, s.saturated
+    );
+    if result.resets > 0 {
+        text += &format!("resets: {}\n", result.resets);
+    }
+    for fault in &result.faults {
+        text += &format!(
+            "fault at {:.4} s: {}, motor off after {:.3} ms{}: {}\n",
+            fault.t_s,
+            fault.name,
+            fault.motor_off_ms,
+            if fault.latched { ", latched" } else { "" },
+            fault.text
+        );
+    }
+    let Some(last) = &result.last else { return text };
+    text += &format!(
+        "{:<16}{:>12}{:>12}{:>12}{:>12}\n",
+        "", "truth", "estimate", "error", "sd"
+    );
+    let angles: [(&str, AngleOf); 3] = [
+        ("heading (°)", |a| a.heading_deg),
+        ("pitch (°)", |a| a.pitch_deg),
+        ("roll (°)", |a| a.roll_deg),
+    ];
+    for (name, of) in angles {
+        text += &format!(
+            "{name:<16}{:>12.4}{:>12.4}{:>+12.4}{:>12.4}\n",
+            of(&last.truth),
+            of(&last.reading.attitude),
+            of(&last.error),
+            of(&last.reading.sd)
+        );
     }
     text
 }

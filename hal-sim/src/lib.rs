@@ -23,3 +23,4 @@ pub mod sensors;
 pub mod simulate;
 pub mod truth;
 pub mod unit;
+pub mod unit_sim;

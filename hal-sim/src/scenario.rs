@@ -202,6 +202,94 @@ table! {
     }
 }
 
+table! {
+    /// `[buses]`: the unit's data-ready line. Only for `unit`.
+    pub struct Buses {
+        numbers {
+            /// Share of the data-ready edges that go unheard.
+            edge_loss: f64 = 0.0, [0.0, 1.0];
+            /// Mean time from the end of a sample to its edge, µs; the unit is told.
+            edge_delay_us: f64 = 5.0, [0.0, 1000.0];
+            /// Its spread, 1σ, µs.
+            edge_jitter_us: f64 = 1.0, [0.0, 300.0];
+        }
+        tables {}
+    }
+}
+
+/// What breaks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FaultKind {
+    /// The data-ready line stays low.
+    #[default]
+    ImuEdges,
+    /// The IMU answers 0xFF to everything.
+    ImuSilent,
+    /// Bursts of the IMU come with a wrong check sum.
+    ImuCrc,
+    /// The gyro on z is at the end of its range.
+    ImuSaturated,
+    /// The IMU's data stay as they are; the count goes on.
+    ImuStuckData,
+    /// The IMU's count stays as it is.
+    ImuStuckCounter,
+    /// The IMU reports that its processor does not keep up.
+    ImuFlags,
+    /// The IMU is at 110 °C.
+    ImuHot,
+    /// The IMU loses its decimation and samples 19 % too slowly.
+    ImuRate,
+    /// Transfers with the IMU never end.
+    ImuBus,
+    /// The encoder answers 0xFF to everything.
+    EncoderSilent,
+    /// The encoder's readings come with a wrong check sum.
+    EncoderCrc,
+    /// The encoder repeats its last reading.
+    EncoderFrozen,
+    /// The encoder warns of a weak field.
+    EncoderWeak,
+    /// The bridge pulls its fault line and is off.
+    Driver,
+    /// The rotor is jammed.
+    Jam,
+    /// The contacts of the home switch agree.
+    HomeBroken,
+    /// The home switch hangs above its edge.
+    HomeStuck,
+    /// The sampling task hangs.
+    HangSampling,
+    /// The motor's loop hangs.
+    HangMotor,
+    /// The alignment task hangs.
+    HangAlignment,
+    /// The unit resets, in mid-turn.
+    Reset,
+}
+
+impl Table for FaultKind {
+    fn check(&self, _path: &str) -> Result<(), Violation> {
+        Ok(())
+    }
+}
+
+table! {
+    /// `[[fault]]`: something that breaks. Only for `unit`.
+    pub struct FaultAt {
+        numbers {
+            /// When, s from power-up.
+            at_s: f64 = 0.0, [0.0, 360000.0];
+            /// For how long, s. Absent: for good.
+            for_s: Option<f64> = None, [0.0, 360000.0];
+        }
+        tables {
+            /// What.
+            kind: FaultKind;
+        }
+    }
+}
+
 /// What moves, how, and how badly it is measured.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -230,6 +318,10 @@ pub struct Scenario {
     pub errors: Errors,
     /// The errors of the encoder.
     pub encoder: EncoderErrors,
+    /// The lines between devices and unit.
+    pub buses: Buses,
+    /// What breaks, and when.
+    pub fault: Vec<FaultAt>,
 }
 
 impl Default for Scenario {
@@ -247,6 +339,8 @@ impl Default for Scenario {
             imu: Unit::perfect(),
             errors: Errors::default(),
             encoder: EncoderErrors::default(),
+            buses: Buses::default(),
+            fault: Vec::new(),
         }
     }
 }
@@ -347,6 +441,8 @@ impl Scenario {
         self.imu.check("imu")?;
         self.errors.check("errors")?;
         self.encoder.check("encoder")?;
+        self.buses.check("buses")?;
+        self.fault.check("fault")?;
 
         let Swing { pitch, roll, .. } = &self.swing;
         for (key, axis, limit) in [("swing.pitch", pitch, 85.0), ("swing.roll", roll, 180.0)] {

@@ -57,6 +57,12 @@ pub enum Stream {
     AccelMisalignment = 10,
     /// Response of the gyros to specific force.
     GSensitivity = 11,
+    /// Where the rotor stands at power-up.
+    RotorStart = 12,
+    /// The motor as made, and the noise of its encoder.
+    Plant = 13,
+    /// Jitter and loss of data-ready edges.
+    DataReady = 14,
 }
 
 /// The generator of one source of chance in the run with this seed.

@@ -331,6 +331,38 @@ impl Truth {
         }
     }
 
+    /// The same where a motor drives the rotor, and not the schedule: `from` and `to` are the rotor's angle and rate at
+    /// `t0` and `t1`, as the plant has them.
+    ///
+    /// Between them the angle is the cubic through both ends. ∫α̇ dt is then exact; within the sample the angle is off
+    /// by `h⁴ α⁗/384`: with ripple of 0.2 °/s at 40 Hz and h = 5 ms by 5e-6°, for a fraction of the sample.
+    pub fn increment_driven(
+        &self,
+        (t0, from): (f64, RotorState<f64>),
+        (t1, to): (f64, RotorState<f64>),
+    ) -> (Vec3<Sensor, f64>, Vec3<Sensor, f64>) {
+        let (mut dtheta, mut dv) = (Vector3::zeros(), Vector3::zeros());
+        let length = t1 - t0;
+        let steps = (length / self.max_step).ceil().max(1.0);
+        let half = 0.5 * length / steps;
+        let mut k = 0.0;
+        while k < steps {
+            let middle = (2.0 * k + 1.0) * half;
+            let base = self.base(t0 + middle);
+            let (mut w, mut f) = (Vector3::zeros(), Vector3::zeros());
+            for (node, weight) in [-NODE, 0.0, NODE].into_iter().zip(WEIGHTS) {
+                let (alpha, rate) = hermite(&from, &to, length, middle + node * half);
+                let instant = self.instant_at(&base, node * half, SinCos::of(alpha), rate);
+                w += instant.w_is_s * weight;
+                f += instant.f_is_s * weight;
+            }
+            dtheta += w * half;
+            dv += f * half;
+            k += 1.0;
+        }
+        (Vec3::from_vector(dtheta), Vec3::from_vector(dv))
+    }
+
     /// Adds the integrals over a stretch of constant rotor acceleration.
     fn integrate(&self, start: f64, end: f64, dtheta: &mut Vector3<f64>, dv: &mut Vector3<f64>) {
         let steps = ((end - start) / self.max_step).ceil().max(1.0);
@@ -436,12 +468,6 @@ impl Truth {
     /// Rates and specific force `dt` after the base, within one stretch of constant rotor acceleration.
     #[inline]
     fn instant(&self, base: &Base, dt: f64) -> Instant {
-        let housing = self.housing(base, dt);
-        let (velocity, acceleration) = self.point_motion(&housing, base, dt);
-        let f_n = acceleration + self.w_ie_n.cross(&velocity) * 2.0 + Vector3::new(0.0, 0.0, self.gravity);
-        let f_b = housing.c_nb.tr_mul(&f_n);
-        let w_ib_b = housing.w_nb_b + housing.c_nb.tr_mul(&self.w_ie_n);
-
         let turned = base.rotor.rate * dt + 0.5 * base.rotor.acceleration * dt * dt;
         let rate = base.rotor.rate + base.rotor.acceleration * dt;
         let (amplitude, harmonic) = self.ripple;
@@ -454,7 +480,17 @@ impl Truth {
         } else {
             (base.alpha + turned, rate)
         };
-        let alpha = base.alpha_sc.moved(alpha - base.alpha);
+        self.instant_at(base, dt, base.alpha_sc.moved(alpha - base.alpha), alpha_rate)
+    }
+
+    /// The same with the rotor at an angle and rate given.
+    #[inline]
+    fn instant_at(&self, base: &Base, dt: f64, alpha: SinCos, alpha_rate: f64) -> Instant {
+        let housing = self.housing(base, dt);
+        let (velocity, acceleration) = self.point_motion(&housing, base, dt);
+        let f_n = acceleration + self.w_ie_n.cross(&velocity) * 2.0 + Vector3::new(0.0, 0.0, self.gravity);
+        let f_b = housing.c_nb.tr_mul(&f_n);
+        let w_ib_b = housing.w_nb_b + housing.c_nb.tr_mul(&self.w_ie_n);
         // Rz(α)ᵀ, between U and Uᵀ.
         let turn = |v: Vector3<f64>| {
             Vector3::new(
@@ -479,6 +515,19 @@ impl Truth {
     }
 }
 
+/// Angle and rate at `t` of the cubic through both ends of an interval of `length`.
+fn hermite(from: &RotorState<f64>, to: &RotorState<f64>, length: f64, t: f64) -> (f64, f64) {
+    let mean = (to.angle - from.angle) / length;
+    // Of the rate: what the ends have beyond the mean.
+    let (a, b) = (from.rate - mean, to.rate - mean);
+    let s = t / length;
+    let bulge = s * (1.0 - s);
+    (
+        from.angle + mean * t + length * bulge * (a * (1.0 - s) - b * s),
+        mean + a * (1.0 - s) * (1.0 - 3.0 * s) + b * s * (3.0 * s - 2.0),
+    )
+}
+
 /// Three of a kind, one for each axis.
 struct Vector3Of<T>([T; 3]);
 
@@ -494,6 +543,27 @@ mod tests {
     use frames::Inertial;
 
     use super::*;
+
+    #[test]
+    fn a_driven_rotor_on_schedule_is_the_schedule() {
+        let text = ALL.replace("ripple_fraction", "# ripple_fraction");
+        let truth = Truth::new(&Scenario::parse(&text, "s").unwrap(), 3).unwrap();
+        let state = |t: f64| truth.schedule.at(t);
+        let (mut worst_angle, mut worst_velocity) = (0.0_f64, 0.0_f64);
+        for k in 0..4000 {
+            let (t0, t1) = (f64::from(k) * 0.005, f64::from(k + 1) * 0.005);
+            // A jump of the acceleration within the interval is not the cubic's.
+            if truth.schedule.next_corner(t0 - 1e-9).is_some_and(|corner| corner < t1) {
+                continue;
+            }
+            let (angle, velocity) = truth.increment(t0, t1);
+            let (driven_angle, driven_velocity) = truth.increment_driven((t0, state(t0)), (t1, state(t1)));
+            worst_angle = worst_angle.max((angle - driven_angle).norm());
+            worst_velocity = worst_velocity.max((velocity - driven_velocity).norm());
+        }
+        assert!(worst_angle < 1e-14, "{worst_angle:e}");
+        assert!(worst_velocity < 1e-13, "{worst_velocity:e}");
+    }
 
     /// Everything moves, at awkward figures.
     const ALL: &str = "

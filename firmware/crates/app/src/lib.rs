@@ -1,4 +1,43 @@
 //! The application of a rotary IMU unit, generic over its hardware.
+//!
+//! Everything that runs in the unit apart from the board: the same bodies run as embassy tasks on the STM32 and
+//! in virtual time in the simulator. No heap, no statics, no clock but `embassy_time`, no panics.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`hal`] | what a board must give |
+//! | [`shared`] | what the tasks share: one [`Shared`](shared::Shared) |
+//! | [`sampling`] | IMU at its data-ready edge → increments with time, gap and rotor angle |
+//! | [`motor`] | encoder → [`rotor`] control → bridge, 1 kHz |
+//! | [`alignment`] | samples → estimates |
+//! | [`supervisor`] | modes, faults, check-ins, watchdog |
+//! | [`mode`] | the modes' step function, pure |
+//! | [`fault`] | faults and the rule for each |
+//! | [`selftest`] | what must hold before anything turns |
+//! | [`log`] | typed events |
+//! | [`rotor`] | the motor's control, pure |
+//!
+//! # The tasks
+//!
+//! Four bodies, each a plain `async fn(…) -> !` generic over its hardware and the raw mutex. A board wraps each into
+//! an `#[embassy_executor::task]`: [`motor::run`] at interrupt level, the others at thread level.
+//!
+//! A fault takes three ways at once, so that the motor is off whatever hangs: whoever finds it inhibits the motor
+//! (the motor's loop obeys at its next tick), the supervisor cuts the outputs past the loop, and a supervisor that
+//! does not run no longer feeds the watchdog.
 #![no_std]
 
+#[cfg(test)]
+extern crate std;
+
+pub mod alignment;
+pub mod fault;
+pub mod hal;
+pub mod log;
+pub mod mode;
+pub mod motor;
 pub mod rotor;
+pub mod sampling;
+pub mod selftest;
+pub mod shared;
+pub mod supervisor;

@@ -1,0 +1,292 @@
+//! Faults of the unit, and the rule for each: found within what time, and what happens next.
+//!
+//! Whatever the fault, the motor goes off first: whoever finds it raises it
+//! ([`Shared::raise`](crate::shared::Shared::raise)), which inhibits the motor at once; the motor task obeys
+//! at its next tick at the latest, and the supervisor cuts the outputs past it. Then it is reported, then
+//! the [`Response`] of its [`Rule`] follows.
+//!
+//! Times are for the default configuration: 202.4 samples and 1000 ticks of the motor a second.
+
+use core::fmt;
+
+use drivers::mt6835::Warnings;
+use drivers::{Channels, Error, SystemFlags};
+
+use crate::rotor::{Refused, RotorFault};
+use crate::selftest::Failure;
+
+/// A task of the unit that checks in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Task {
+    /// [`crate::sampling::run`].
+    Sampling,
+    /// [`crate::motor::run`].
+    Motor,
+    /// [`crate::alignment::run`].
+    Alignment,
+}
+
+impl Task {
+    /// All of them, by index.
+    pub const ALL: [Self; 3] = [Self::Sampling, Self::Motor, Self::Alignment];
+
+    /// Its place in [`Task::ALL`].
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+
+    /// Its name.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Sampling => "sampling",
+            Self::Motor => "motor",
+            Self::Alignment => "alignment",
+        }
+    }
+}
+
+/// What is wrong, with the facts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Fault {
+    /// No data-ready edge.
+    ImuSilent {
+        /// How long it was waited for, µs.
+        waited_us: u32,
+    },
+    /// Transfers from the IMU fail: check sum, header, bus.
+    ImuTransfer {
+        /// The last one's error.
+        error: Error,
+        /// How many in a row.
+        in_row: u16,
+    },
+    /// Sensors at the end of their range.
+    ImuSaturated {
+        /// Which.
+        channels: Channels,
+        /// For how many samples.
+        in_row: u16,
+    },
+    /// The data, or the count of the samples, stay as they are.
+    ImuStuck {
+        /// For how many samples.
+        in_row: u16,
+    },
+    /// The IMU has restarted and lost its settings.
+    ImuRestarted,
+    /// The IMU reports a fault of its own.
+    ImuFlags {
+        /// Its flags.
+        flags: SystemFlags,
+    },
+    /// The IMU is too hot to be trusted.
+    OverTemperature {
+        /// How hot, °C.
+        temperature_c: f32,
+    },
+    /// The clocks of the IMU and of the unit disagree.
+    Clock {
+        /// Period of the samples as configured, µs.
+        expected_us: f32,
+        /// The same by the unit's clock, µs.
+        measured_us: f32,
+    },
+    /// The encoder sends no usable angle.
+    EncoderInvalid,
+    /// The encoder repeats itself, or the rotor was stopped dead.
+    EncoderFrozen,
+    /// The encoder warns of its own readings.
+    EncoderWarning {
+        /// What of.
+        warnings: Warnings,
+    },
+    /// The bridge reports a fault, or a line of it cannot be driven.
+    Driver,
+    /// The rotor is blocked, or does not keep up.
+    Stall {
+        /// Set-point minus angle, or the angle it stands at, rad.
+        rotor: RotorFault,
+    },
+    /// Any other fault of the rotor.
+    Rotor(RotorFault),
+    /// The rotor refuses what the modes ask of it.
+    RotorRefused(Refused),
+    /// A task has not checked in in time.
+    TaskOverrun {
+        /// Which.
+        task: Task,
+        /// Since when, ms.
+        silent_ms: u32,
+    },
+    /// The self-test failed.
+    SelfTest(Failure),
+}
+
+/// What happens after the motor is off and the fault reported.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Response {
+    /// After a while from the self-test on, so many times; then latched.
+    Retry {
+        /// How long after, ms.
+        after_ms: u32,
+        /// How many times between two successes.
+        times: u8,
+    },
+    /// Off until a command resets the fault.
+    Latch,
+    /// The watchdog is no longer fed.
+    Reset,
+}
+
+/// How a fault is dealt with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Rule {
+    /// Longest time from cause to detection, ms.
+    pub within_ms: u32,
+    /// What happens next.
+    pub response: Response,
+}
+
+const fn retry(within_ms: u32, after_ms: u32, times: u8) -> Rule {
+    Rule {
+        within_ms,
+        response: Response::Retry { after_ms, times },
+    }
+}
+
+const fn latch(within_ms: u32) -> Rule {
+    Rule {
+        within_ms,
+        response: Response::Latch,
+    }
+}
+
+impl Fault {
+    /// The rule for it.
+    ///
+    /// | fault | within | why | then |
+    /// |---|---|---|---|
+    /// | IMU silent | 35 ms | 5 periods of 4.94 ms, and up to one before the first | IMU reset, 3 tries |
+    /// | transfer, stuck count | 20 ms | 3 in a row | IMU reset, 3 tries |
+    /// | saturated | 30 ms | 5 in a row | 3 tries |
+    /// | stuck data | 55 ms | 10 in a row: noise never repeats 6 × 32 bits | IMU reset, 3 tries |
+    /// | restarted, flags | 10 ms | the next sample | IMU reset, 3 tries |
+    /// | over-temperature | 55 ms | 10 in a row | every 10 s, 30 tries |
+    /// | clock | 700 ms | a window of 64 samples begun anew and filled | latched: heading would be wrong unseen |
+    /// | encoder | 30 ms | 3 bad readings of 1 ms, 20 equal ones | 3 tries, homing anew |
+    /// | encoder warning | 30 ms | 20 in a row | 3 tries |
+    /// | driver | 2 ms | every tick | 3 tries: heat goes away, a short does not |
+    /// | stall | 300 ms | 50 ms at the voltage limit, or 2° behind at 20 °/s and the time to get there | 1 try |
+    /// | home switch on the wrong side | 20 s | the rotor must pass the edge: a leg of 18 s | latched |
+    /// | other rotor faults | 300 ms | each tick; the calibration's by its phases | latched |
+    /// | task overrun | 65 ms | 50 ms for sampling and alignment, 5 for the motor, and the supervisor's period | reset |
+    /// | self-test | 10 s | its timeout | 3 tries |
+    pub const fn rule(&self) -> Rule {
+        match self {
+            Self::ImuSilent { .. } => retry(35, 500, 3),
+            Self::ImuTransfer { .. } => retry(20, 500, 3),
+            Self::ImuSaturated { .. } => retry(30, 1000, 3),
+            Self::ImuStuck { .. } => retry(55, 500, 3),
+            Self::ImuRestarted | Self::ImuFlags { .. } => retry(10, 500, 3),
+            Self::OverTemperature { .. } => retry(55, 10_000, 30),
+            Self::Clock { .. } => latch(700),
+            Self::EncoderInvalid | Self::EncoderFrozen | Self::EncoderWarning { .. } => retry(30, 500, 3),
+            Self::Driver => retry(2, 1000, 3),
+            Self::Stall { .. } => retry(300, 2000, 1),
+            Self::Rotor(RotorFault::HomeMismatch { .. }) => latch(20_000),
+            Self::Rotor(_) | Self::RotorRefused(_) => latch(300),
+            Self::TaskOverrun { .. } => Rule {
+                within_ms: 65,
+                response: Response::Reset,
+            },
+            Self::SelfTest(_) => retry(10_000, 1000, 3),
+        }
+    }
+
+    /// Short name of its kind, the same for all facts.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::ImuSilent { .. } => "imu-silent",
+            Self::ImuTransfer { .. } => "imu-transfer",
+            Self::ImuSaturated { .. } => "imu-saturated",
+            Self::ImuStuck { .. } => "imu-stuck",
+            Self::ImuRestarted => "imu-restarted",
+            Self::ImuFlags { .. } => "imu-flags",
+            Self::OverTemperature { .. } => "over-temperature",
+            Self::Clock { .. } => "clock",
+            Self::EncoderInvalid => "encoder-invalid",
+            Self::EncoderFrozen => "encoder-frozen",
+            Self::EncoderWarning { .. } => "encoder-warning",
+            Self::Driver => "driver",
+            Self::Stall { .. } => "stall",
+            Self::Rotor(_) => "rotor",
+            Self::RotorRefused(_) => "rotor-refused",
+            Self::TaskOverrun { .. } => "task-overrun",
+            Self::SelfTest(_) => "self-test",
+        }
+    }
+}
+
+impl From<RotorFault> for Fault {
+    fn from(rotor: RotorFault) -> Self {
+        match rotor {
+            RotorFault::Driver => Self::Driver,
+            RotorFault::EncoderInvalid => Self::EncoderInvalid,
+            RotorFault::EncoderFrozen => Self::EncoderFrozen,
+            RotorFault::Stall { .. } | RotorFault::Following { .. } => Self::Stall { rotor },
+            _ => Self::Rotor(rotor),
+        }
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::ImuSilent { waited_us } => {
+                write!(
+                    f,
+                    "no data-ready for {waited_us} us: check the line and the IMU's supply"
+                )
+            }
+            Self::ImuTransfer { error, in_row } => write!(f, "{in_row} transfers from the IMU failed: {error}"),
+            Self::ImuSaturated { channels, in_row } => {
+                write!(
+                    f,
+                    "{channels} at the end of range for {in_row} samples: the unit moves too fast"
+                )
+            }
+            Self::ImuStuck { in_row } => write!(f, "the IMU repeats one sample, {in_row} times"),
+            Self::ImuRestarted => f.write_str("the IMU has restarted: check its supply"),
+            Self::ImuFlags { flags } => write!(f, "the IMU reports {:#06x}", flags.bits()),
+            Self::OverTemperature { temperature_c } => {
+                write!(f, "the IMU is at {temperature_c:.0} degC: let it cool")
+            }
+            Self::Clock {
+                expected_us,
+                measured_us,
+            } => write!(
+                f,
+                "samples come every {measured_us:.1} us instead of {expected_us:.1}: check the crystal and DEC_RATE"
+            ),
+            Self::EncoderInvalid => RotorFault::EncoderInvalid.fmt(f),
+            Self::EncoderFrozen => RotorFault::EncoderFrozen.fmt(f),
+            Self::EncoderWarning { warnings } => write!(
+                f,
+                "the encoder warns ({:#05b}): check magnet, distance and supply",
+                warnings.bits()
+            ),
+            Self::Driver => RotorFault::Driver.fmt(f),
+            Self::Stall { rotor } | Self::Rotor(rotor) => rotor.fmt(f),
+            Self::RotorRefused(refused) => refused.fmt(f),
+            Self::TaskOverrun { task, silent_ms } => {
+                write!(f, "task {} silent for {silent_ms} ms: the unit will reset", task.name())
+            }
+            Self::SelfTest(failure) => write!(f, "self-test: {failure}"),
+        }
+    }
+}
+
+impl core::error::Error for Fault {}

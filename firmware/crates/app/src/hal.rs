@@ -1,0 +1,185 @@
+//! What the application asks of a board beyond the embedded-hal traits.
+//!
+//! | trait | on the board | in the simulator |
+//! |---|---|---|
+//! | [`EdgeCapture`] | data-ready on EXTI, stamped in the interrupt | `bus::Input::rising` |
+//! | [`Encoder`] | [`MagneticEncoder`] on SPI | the same |
+//! | [`HomeSwitch`] | [`ChangeOver`] of two inputs | the same |
+//! | [`Cutoff`] | MOE of TIM1 and the bridge's enable line, by register | the plant's bridge |
+//! | [`Watchdog`] | IWDG | a counter |
+//!
+//! The bridge itself is a [`drivers::motor::MotorDriver`] and a [`drivers::motor::ThreePhase`].
+
+use drivers::Error;
+use drivers::mt6835::{self, Mt6835, Reading};
+use embassy_time::{Instant, Timer};
+use embedded_hal::digital::InputPin;
+use embedded_hal_async::digital::Wait;
+use embedded_hal_async::spi::SpiDevice;
+
+use crate::rotor::Side;
+
+/// A data-ready edge.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Edge {
+    /// When it came, µs of the unit's clock: taken in the interrupt, not when a task was woken.
+    pub t_us: u64,
+    /// Edges since the one told before that nobody took.
+    pub overrun: u32,
+}
+
+/// A line whose edges are stamped as they come.
+#[allow(
+    async_fn_in_trait,
+    reason = "one core, one executor a task: no future crosses a thread"
+)]
+pub trait EdgeCapture {
+    /// The next edge that was not told yet; the last one if there are several.
+    ///
+    /// Cancellation: must be safe. A dropped call loses no edge.
+    async fn edge(&mut self) -> Edge;
+}
+
+impl<T: EdgeCapture + ?Sized> EdgeCapture for &mut T {
+    async fn edge(&mut self) -> Edge {
+        (**self).edge().await
+    }
+}
+
+/// Rising edges of any pin that can be waited for, stamped when the task is woken: late by the latency of
+/// the executor (20 µs and more), and blind to edges that come while nobody waits. A stand-in until a
+/// board has a capture.
+#[derive(Debug)]
+pub struct PolledEdge<P>(pub P);
+
+impl<P: Wait> EdgeCapture for PolledEdge<P> {
+    async fn edge(&mut self) -> Edge {
+        while self.0.wait_for_rising_edge().await.is_err() {
+            // A pin that cannot be waited for is a silent IMU: the caller's timeout tells.
+            Timer::after_millis(10).await;
+        }
+        Edge {
+            t_us: Instant::now().as_micros(),
+            overrun: 0,
+        }
+    }
+}
+
+/// The rotor's absolute encoder.
+#[allow(
+    async_fn_in_trait,
+    reason = "one core, one executor a task: no future crosses a thread"
+)]
+pub trait Encoder {
+    /// Identifies the part and writes its settings.
+    ///
+    /// # Errors
+    /// Those of the driver.
+    async fn start(&mut self) -> Result<(), Error>;
+
+    /// Reads the angle.
+    ///
+    /// # Errors
+    /// Those of the driver.
+    async fn read(&mut self) -> Result<Reading, Error>;
+}
+
+/// An MT6835 with its settings.
+#[derive(Debug)]
+pub struct MagneticEncoder<SPI> {
+    /// The driver.
+    pub driver: Mt6835<SPI>,
+    /// The settings.
+    pub config: mt6835::Config,
+}
+
+impl<SPI: SpiDevice> Encoder for MagneticEncoder<SPI> {
+    async fn start(&mut self) -> Result<(), Error> {
+        self.driver.identify().await?;
+        self.driver.configure(&self.config).await
+    }
+
+    async fn read(&mut self) -> Result<Reading, Error> {
+        self.driver.read().await
+    }
+}
+
+/// The home switch.
+pub trait HomeSwitch {
+    /// The side the rotor is on; `None` where the contacts contradict each other or cannot be read.
+    fn side(&mut self) -> Option<Side>;
+}
+
+/// A change-over contact on two inputs: one is high, the other low.
+#[derive(Debug)]
+pub struct ChangeOver<Below, Above> {
+    /// High below the edge.
+    pub below: Below,
+    /// High above it.
+    pub above: Above,
+}
+
+impl<Below: InputPin, Above: InputPin> HomeSwitch for ChangeOver<Below, Above> {
+    fn side(&mut self) -> Option<Side> {
+        match (self.below.is_high(), self.above.is_high()) {
+            (Ok(true), Ok(false)) => Some(Side::Below),
+            (Ok(false), Ok(true)) => Some(Side::Above),
+            _ => None,
+        }
+    }
+}
+
+/// No switch: for a slip ring.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct NoSwitch;
+
+impl HomeSwitch for NoSwitch {
+    fn side(&mut self) -> Option<Side> {
+        None
+    }
+}
+
+/// Takes the motor's outputs away past the motor task, which may be the one that hangs.
+pub trait Cutoff {
+    /// Outputs and bridge off, now. The next `set_duties` and `enable` of the motor task undo it; it makes
+    /// none while [`Shared::inhibited`](crate::shared::Shared::inhibited).
+    fn cut(&mut self);
+}
+
+/// The hardware watchdog.
+pub trait Watchdog {
+    /// Puts the reset off once more.
+    fn feed(&mut self);
+}
+
+/// Why the unit started.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ResetCause {
+    /// The supply came.
+    PowerOn,
+    /// The supply dipped.
+    BrownOut,
+    /// The watchdog was not fed.
+    Watchdog,
+    /// The reset line.
+    Pin,
+    /// The program itself: an update, a panic.
+    Software,
+    /// The board does not tell.
+    Unknown,
+}
+
+impl core::fmt::Display for ResetCause {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::PowerOn => "power on",
+            Self::BrownOut => "brown-out",
+            Self::Watchdog => "watchdog",
+            Self::Pin => "reset line",
+            Self::Software => "software",
+            Self::Unknown => "unknown",
+        })
+    }
+}

@@ -1,0 +1,283 @@
+//! Self-test: what must hold before anything turns, and what was found where it does not.
+//!
+//! | item | by whom | criterion |
+//! |---|---|---|
+//! | IMU identity, range, own self-test, settings | sampling | the driver's |
+//! | gravity | [`Inspection`] | mean of f within ±`gravity_share` of g |
+//! | Earth rate | [`Inspection`] | at rest the mean rate is at most ω_ie and 5σ of the biases; never all zero |
+//! | encoder | motor | identity, settings, readings |
+//! | motor direction, pole pairs, free travel | the rotor's calibration and search | [`RotorFault`](crate::rotor::RotorFault) |
+//!
+//! On a base that swings nothing can be said of Earth's rate in a second: it is judged only where the
+//! spread of the rate shows rest.
+
+use core::fmt;
+
+use drivers::Error;
+use frames::{Sensor, Vec3, math, units};
+use nav::increment::Sample;
+
+/// What the inspection of the first samples is judged by.
+///
+/// | field | unit | zero means | sane value |
+/// |---|---|---|---|
+/// | `samples` | | judged at the first sample | one second's |
+/// | `gravity` | m/s² | refused by every sample | 9.8 |
+/// | `gravity_share` | | only the exact value passes | 0.05: heave, and accelerometers of the cheap part |
+/// | `rest_rate_sd` | rad/s | never judged to be at rest | 0.05 °/s |
+/// | `rest_rate_max` | rad/s | rest never passes | 15 °/h and 5σ of three biases of 10 °/h |
+/// | `rate_max` | rad/s | nothing passes | 100 °/s |
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct InspectionConfig {
+    /// Samples looked at.
+    pub samples: u16,
+    /// Gravity at the place, m/s².
+    pub gravity: f32,
+    /// Greatest deviation from it, as a share.
+    pub gravity_share: f32,
+    /// Spread of each axis' rate below which the unit is at rest, rad/s.
+    pub rest_rate_sd: f32,
+    /// Largest mean rate at rest, rad/s.
+    pub rest_rate_max: f32,
+    /// Largest rate at all, rad/s.
+    pub rate_max: f32,
+}
+
+impl Default for InspectionConfig {
+    fn default() -> Self {
+        Self {
+            samples: 200,
+            gravity: 9.8,
+            gravity_share: 0.05,
+            rest_rate_sd: (0.05 * units::DEG) as f32,
+            // 15.04 + 5 · √3 · 10 °/h.
+            rest_rate_max: (102.0 * units::DEG_PER_HOUR) as f32,
+            rate_max: (100.0 * units::DEG) as f32,
+        }
+    }
+}
+
+/// What was found in the first samples.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Found {
+    /// Magnitude of the mean specific force, m/s².
+    pub gravity: f32,
+    /// Magnitude of the mean rate, rad/s.
+    pub rate: f32,
+    /// Largest spread of an axis' rate, rad/s.
+    pub rate_sd: f32,
+}
+
+/// Why the self-test failed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Failure {
+    /// The IMU.
+    Imu(Error),
+    /// The encoder.
+    Encoder(Error),
+    /// Specific force is not gravity.
+    Gravity {
+        /// Its magnitude, m/s².
+        found: f32,
+        /// What it should be, m/s².
+        expected: f32,
+    },
+    /// More rate at rest than Earth's and the biases'.
+    EarthRate {
+        /// Its magnitude, rad/s.
+        found: f32,
+        /// The most it may be, rad/s.
+        most: f32,
+    },
+    /// The unit turns faster than anything it is made for.
+    Rate {
+        /// How fast, rad/s.
+        found: f32,
+    },
+    /// A gyro gives nothing at all: real ones have noise.
+    NoNoise,
+    /// A part of the test did not end.
+    Timeout {
+        /// The IMU answered.
+        imu: bool,
+        /// The encoder answered.
+        encoder: bool,
+        /// The samples were inspected.
+        inspected: bool,
+    },
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Imu(error) => write!(f, "IMU: {error}"),
+            Self::Encoder(error) => write!(f, "encoder: {error}"),
+            Self::Gravity { found, expected } => write!(
+                f,
+                "specific force is {found:.3} m/s2, gravity {expected:.3}: check the accelerometers' range"
+            ),
+            Self::EarthRate { found, most } => write!(
+                f,
+                "rate at rest is {:.1} deg/h, at most {:.1} can be: check the gyros",
+                found / units::DEG_PER_HOUR as f32,
+                most / units::DEG_PER_HOUR as f32
+            ),
+            Self::Rate { found } => write!(f, "the unit turns at {:.0} deg/s", found / units::DEG as f32),
+            Self::NoNoise => f.write_str("a gyro gives no signal at all"),
+            Self::Timeout {
+                imu,
+                encoder,
+                inspected,
+            } => {
+                let part = match (imu, encoder, inspected) {
+                    (false, _, _) => "the IMU's start",
+                    (_, false, _) => "the encoder's start",
+                    _ => "the inspection of the samples",
+                };
+                write!(f, "{part} did not end in time")
+            }
+        }
+    }
+}
+
+/// Means and spreads of the first samples.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Inspection {
+    config: InspectionConfig,
+    count: u16,
+    /// Mean rate and specific force, running.
+    rate: Vec3<Sensor>,
+    force: Vec3<Sensor>,
+    /// Sums of squares about the running mean (Welford).
+    squares: [f32; 3],
+}
+
+impl Inspection {
+    /// Nothing seen yet.
+    pub fn new(config: InspectionConfig) -> Self {
+        Self {
+            config,
+            count: 0,
+            rate: Vec3::zero(),
+            force: Vec3::zero(),
+            squares: [0.0; 3],
+        }
+    }
+
+    /// Takes a sample; the verdict once there are enough.
+    pub fn push(&mut self, sample: &Sample) -> Option<Result<Found, Failure>> {
+        self.count += 1;
+        let n = f32::from(self.count);
+        let rate = sample.dtheta_s / sample.dt;
+        let before = (rate - self.rate).to_array();
+        self.rate = self.rate + (rate - self.rate) / n;
+        let after = (rate - self.rate).to_array();
+        for (sum, (b, a)) in self.squares.iter_mut().zip(before.into_iter().zip(after)) {
+            *sum += b * a;
+        }
+        self.force = self.force + (sample.dv_s / sample.dt - self.force) / n;
+        (self.count >= self.config.samples).then(|| self.verdict(n))
+    }
+
+    fn verdict(&self, n: f32) -> Result<Found, Failure> {
+        let c = &self.config;
+        let sds = self.squares.map(|sum| math::sqrt(sum / n));
+        let found = Found {
+            gravity: self.force.norm(),
+            rate: self.rate.norm(),
+            rate_sd: sds.into_iter().fold(0.0, f32::max),
+        };
+        if (found.gravity - c.gravity).abs() > c.gravity_share * c.gravity {
+            return Err(Failure::Gravity {
+                found: found.gravity,
+                expected: c.gravity,
+            });
+        }
+        if found.rate > c.rate_max {
+            return Err(Failure::Rate { found: found.rate });
+        }
+        if self
+            .rate
+            .to_array()
+            .into_iter()
+            .zip(sds)
+            .any(|(rate, sd)| rate == 0.0 && sd == 0.0)
+        {
+            return Err(Failure::NoNoise);
+        }
+        if found.rate_sd < c.rest_rate_sd && found.rate > c.rest_rate_max {
+            return Err(Failure::EarthRate {
+                found: found.rate,
+                most: c.rest_rate_max,
+            });
+        }
+        Ok(found)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn inspect(rate: impl Fn(u16) -> [f32; 3], force: f32) -> Result<Found, Failure> {
+        let mut inspection = Inspection::new(InspectionConfig::default());
+        for k in 0.. {
+            let [x, y, z] = rate(k);
+            let sample = Sample {
+                dtheta_s: Vec3::new(x, y, z) * 0.005,
+                dv_s: Vec3::new(0.0, 0.0, force * 0.005),
+                dt: 0.005,
+                gap: 0.0,
+            };
+            if let Some(verdict) = inspection.push(&sample) {
+                return verdict;
+            }
+        }
+        unreachable!()
+    }
+
+    fn noise(k: u16) -> f32 {
+        if k.is_multiple_of(2) { 1e-4 } else { -1e-4 }
+    }
+
+    #[test]
+    fn rest_at_earth_rate_passes() {
+        let found = inspect(|k| [noise(k), 5e-5 + noise(k), 5e-5 + noise(k)], 9.8).unwrap();
+        assert!((found.gravity - 9.8).abs() < 1e-3 && (found.rate - 7.07e-5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let table: [(fn(u16) -> [f32; 3], f32, fn(&Failure) -> bool); 4] = [
+            (|k| [noise(k); 3], 9.0, |f| matches!(f, Failure::Gravity { .. })),
+            (
+                |k| [noise(k) + 1e-3; 3],
+                9.8,
+                |f| matches!(f, Failure::EarthRate { .. }),
+            ),
+            (|k| [noise(k), 0.0, noise(k)], 9.8, |f| *f == Failure::NoNoise),
+            (
+                |k| [noise(k), 3.0, noise(k)],
+                9.8,
+                |f| matches!(f, Failure::Rate { .. }),
+            ),
+        ];
+        for (rate, force, expected) in table {
+            let failure = inspect(rate, force).unwrap_err();
+            assert!(expected(&failure), "{failure}");
+        }
+    }
+
+    #[test]
+    fn a_swinging_base_is_not_judged_by_earth_rate() {
+        assert!(
+            inspect(
+                |k| [0.2 * math::sin_cos(0.006 * f32::from(k)).0, noise(k), noise(k)],
+                9.8
+            )
+            .is_ok()
+        );
+    }
+}

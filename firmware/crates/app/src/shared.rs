@@ -1,0 +1,344 @@
+//! What the tasks share: channels, watches and a few cells, in one value.
+//!
+//! ```text
+//!                 ┌──────────── imu_start, encoder_start, rotor, job, inhibit ───────────┐
+//!                 ▼                                                                      │
+//!  edge ─► sampling ──samples──► alignment ──navigation──► output                  supervisor ─► watchdog
+//!             ▲                      │                       ▲                        ▲  ▲
+//!             │ angle at the edge    │                       └──────── status ────────┘  │
+//!           motor ───────────────────┴──────────────── inputs (and check-ins) ───────────┘
+//! ```
+//!
+//! On the target one `static`; in the simulator a value of the run. Everything is bounded; what does not
+//! fit is counted.
+
+use core::cell::{Cell, RefCell};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+
+use drivers::Channels;
+use drivers::sequence::Tally;
+use embassy_sync::blocking_mutex::Mutex;
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_sync::channel::Channel;
+use embassy_sync::signal::Signal;
+use embassy_sync::watch::Watch;
+use embassy_time::Instant;
+use nav::aligner;
+use nav::increment::Sample;
+
+use crate::fault::{Fault, Task};
+use crate::mode::{Command, Input, Status};
+use crate::rotor;
+
+/// Samples that wait for the alignment: 158 ms at 202.4 a second, ten times its longest step.
+pub const SAMPLES: usize = 32;
+/// Things told to the supervisor that wait for it.
+pub const INPUTS: usize = 16;
+/// Commands that wait.
+pub const COMMANDS: usize = 4;
+/// Readers of a watch: output, display, log, one spare.
+pub const READERS: usize = 4;
+/// Readings of the rotor's angle kept: 8 ms at 1 kHz, longer than a transfer from the IMU takes.
+const ANGLES: usize = 8;
+/// A reading further from the instant asked for than this tells nothing about it, µs.
+const ANGLE_REACH_US: u64 = 5_000;
+
+/// A sample of the IMU with all that the alignment needs to know of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TimedSample {
+    /// End of its interval, µs of the unit's clock.
+    pub t_us: u64,
+    /// The increments, and the time lost before them.
+    pub sample: Sample,
+    /// The rotor's angle α at that instant, rad; `None` while the turn is unknown.
+    pub alpha: Option<f32>,
+    /// Temperature of the IMU, °C.
+    pub temperature_c: f32,
+    /// Sensors at the end of their range.
+    pub saturated: Channels,
+}
+
+/// What became of the samples since the start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct SampleCounts {
+    /// By the IMU's own count.
+    pub tally: Tally,
+    /// Transfers that failed; their samples are among those lost.
+    pub transfers: u32,
+    /// Edges that came before the one before them was served.
+    pub edges: u32,
+    /// Samples dropped because the alignment had not taken the ones before.
+    pub overruns: u32,
+    /// Samples with a sensor at the end of its range.
+    pub saturated: u32,
+}
+
+/// The estimate as the unit puts it out.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Navigation {
+    /// When it holds, µs of the unit's clock.
+    pub t_us: u64,
+    /// Where the aligner stands.
+    pub mode: aligner::Mode,
+    /// Attitude, heading, biases and their 1σ, once there are any.
+    pub estimate: Option<aligner::Estimate>,
+    /// Why it is not to be relied on, if it is not.
+    pub not_ready: Option<aligner::NotReady>,
+}
+
+/// What the alignment task is to do with the samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Job {
+    /// Drop them.
+    Idle,
+    /// Judge the first ones: gravity, rates.
+    Inspect,
+    /// Align, from the beginning.
+    Align,
+}
+
+/// The rotor's angle at one instant.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct AngleAt {
+    /// When the encoder was read, µs.
+    pub t_us: u64,
+    /// α, rad.
+    pub angle: f32,
+    /// Its rate, rad/s.
+    pub rate: f32,
+}
+
+/// The latest readings of the rotor's angle.
+#[derive(Debug, Clone, Copy, Default)]
+struct Angles {
+    ring: [AngleAt; ANGLES],
+    /// Where the next one goes.
+    next: usize,
+    count: usize,
+}
+
+impl Angles {
+    fn push(&mut self, at: AngleAt) {
+        self.ring[self.next] = at;
+        self.next = (self.next + 1) % ANGLES;
+        self.count = (self.count + 1).min(ANGLES);
+    }
+
+    /// The angle at `t_us`: linear between the readings around it (off by a·dt²/8, 2.5e-5° at 200 °/s² and
+    /// 1 ms), by the rate beyond the last one (a·dt²/2, 1e-4°).
+    fn at(&self, t_us: u64) -> Option<f32> {
+        let mut after: Option<AngleAt> = None;
+        for back in 1..=self.count {
+            let here = self.ring[(self.next + ANGLES - back) % ANGLES];
+            if here.t_us > t_us {
+                after = Some(here);
+                continue;
+            }
+            if t_us - here.t_us > ANGLE_REACH_US {
+                return None;
+            }
+            let since = (t_us - here.t_us) as f32;
+            return Some(match after {
+                Some(after) => here.angle + (after.angle - here.angle) * since / (after.t_us - here.t_us) as f32,
+                None => here.angle + here.rate * since * 1e-6,
+            });
+        }
+        // Before the first reading there is.
+        let first = after.filter(|first| first.t_us - t_us <= ANGLE_REACH_US)?;
+        Some(first.angle - first.rate * (first.t_us - t_us) as f32 * 1e-6)
+    }
+}
+
+/// What the tasks share. See the [module](self).
+pub struct Shared<M: RawMutex> {
+    samples: Channel<M, TimedSample, SAMPLES>,
+    counts: Mutex<M, Cell<SampleCounts>>,
+    angles: Mutex<M, RefCell<Angles>>,
+    pub(crate) inputs: Channel<M, Input, INPUTS>,
+    /// Commands to the unit, from the serial line or a button.
+    pub commands: Channel<M, Command, COMMANDS>,
+    pub(crate) rotor: Channel<M, rotor::Command, COMMANDS>,
+    pub(crate) imu_start: Signal<M, ()>,
+    pub(crate) encoder_start: Signal<M, ()>,
+    pub(crate) job: Signal<M, Job>,
+    /// Estimates.
+    pub navigation: Watch<M, Navigation, READERS>,
+    /// Mode and faults.
+    pub status: Watch<M, Status, READERS>,
+    inhibited: AtomicBool,
+    /// Since when, µs.
+    inhibited_us: Mutex<M, Cell<u64>>,
+    /// A fault did not fit into `inputs`.
+    missed: Mutex<M, Cell<Option<Fault>>>,
+    /// When each task last checked in, ms of the unit's clock, modulo 2³².
+    check_ins: [AtomicU32; Task::ALL.len()],
+}
+
+impl<M: RawMutex> Default for Shared<M> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<M: RawMutex> Shared<M> {
+    /// Nothing told yet; the motor inhibited.
+    pub const fn new() -> Self {
+        Self {
+            samples: Channel::new(),
+            counts: Mutex::new(Cell::new(SampleCounts {
+                tally: Tally {
+                    received: 0,
+                    lost: 0,
+                    repeated: 0,
+                    restarts: 0,
+                },
+                transfers: 0,
+                edges: 0,
+                overruns: 0,
+                saturated: 0,
+            })),
+            angles: Mutex::new(RefCell::new(Angles {
+                ring: [AngleAt {
+                    t_us: 0,
+                    angle: 0.0,
+                    rate: 0.0,
+                }; ANGLES],
+                next: 0,
+                count: 0,
+            })),
+            inputs: Channel::new(),
+            commands: Channel::new(),
+            rotor: Channel::new(),
+            imu_start: Signal::new(),
+            encoder_start: Signal::new(),
+            job: Signal::new(),
+            navigation: Watch::new(),
+            status: Watch::new(),
+            inhibited: AtomicBool::new(true),
+            inhibited_us: Mutex::new(Cell::new(0)),
+            missed: Mutex::new(Cell::new(None)),
+            check_ins: [const { AtomicU32::new(0) }; Task::ALL.len()],
+        }
+    }
+
+    /// What became of the samples so far.
+    pub fn sample_counts(&self) -> SampleCounts {
+        self.counts.lock(Cell::get)
+    }
+
+    pub(crate) fn count(&self, change: impl FnOnce(&mut SampleCounts)) {
+        self.counts.lock(|cell| {
+            let mut counts = cell.get();
+            change(&mut counts);
+            cell.set(counts);
+        });
+    }
+
+    /// Gives a sample to the alignment, or counts it as dropped. Whether it went.
+    pub(crate) fn forward(&self, sample: TimedSample) -> bool {
+        let went = self.samples.try_send(sample).is_ok();
+        if !went {
+            self.count(|counts| counts.overruns += 1);
+        }
+        went
+    }
+
+    /// Cancellation: safe.
+    pub(crate) async fn next_sample(&self) -> TimedSample {
+        self.samples.receive().await
+    }
+
+    pub(crate) fn forget_samples(&self) {
+        self.samples.clear();
+    }
+
+    /// The rotor's angle at an instant of the last milliseconds, rad; `None` while the turn is unknown.
+    pub fn angle_at(&self, t_us: u64) -> Option<f32> {
+        self.angles.lock(|angles| angles.borrow().at(t_us))
+    }
+
+    pub(crate) fn publish_angle(&self, at: Option<AngleAt>) {
+        self.angles.lock(|angles| match at {
+            Some(at) => angles.borrow_mut().push(at),
+            None => *angles.borrow_mut() = Angles::default(),
+        });
+    }
+
+    /// Tells the supervisor something.
+    pub(crate) fn tell(&self, input: Input) {
+        if let Err(embassy_sync::channel::TrySendError::Full(Input::Fault(fault))) = self.inputs.try_send(input) {
+            self.missed.lock(|missed| missed.set(Some(fault)));
+        }
+    }
+
+    pub(crate) fn take_missed(&self) -> Option<Fault> {
+        self.missed.lock(Cell::take)
+    }
+
+    /// Raises a fault from wherever it is found: the motor is inhibited before anything else happens. Also
+    /// from an interrupt, where the raw mutex allows it.
+    pub fn raise(&self, fault: Fault) {
+        self.inhibit();
+        self.tell(Input::Fault(fault));
+    }
+
+    /// Whether the motor must be off.
+    pub fn inhibited(&self) -> bool {
+        self.inhibited.load(Ordering::Acquire)
+    }
+
+    /// Since when it must be, µs of the unit's clock: when the fault was found.
+    pub fn inhibited_since_us(&self) -> u64 {
+        self.inhibited_us.lock(Cell::get)
+    }
+
+    pub(crate) fn inhibit(&self) {
+        if !self.inhibited.swap(true, Ordering::AcqRel) {
+            self.inhibited_us.lock(|since| since.set(Instant::now().as_micros()));
+        }
+    }
+
+    pub(crate) fn release(&self) {
+        self.inhibited.store(false, Ordering::Release);
+    }
+
+    /// A task is alive.
+    pub(crate) fn check_in(&self, task: Task) {
+        self.check_ins[task.index()].store(now_ms(), Ordering::Relaxed);
+    }
+
+    /// For how long a task has not checked in, ms.
+    pub fn silent_ms(&self, task: Task) -> u32 {
+        now_ms().wrapping_sub(self.check_ins[task.index()].load(Ordering::Relaxed))
+    }
+}
+
+/// Wraps after 49 days, which differences do not mind.
+fn now_ms() -> u32 {
+    Instant::now().as_millis() as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn angles_between_before_and_beyond() {
+        let mut angles = Angles::default();
+        assert_eq!(angles.at(0), None);
+        for k in 0..20_u64 {
+            angles.push(AngleAt {
+                t_us: 1000 * k,
+                angle: 0.35e-3 * k as f32,
+                rate: 0.35,
+            });
+        }
+        for t_us in [11_800, 12_000, 15_250, 19_000, 19_700, 23_000] {
+            let angle = angles.at(t_us).unwrap();
+            assert!((angle - 0.35e-6 * t_us as f32).abs() < 1e-8, "{t_us} {angle}");
+        }
+        assert_eq!((angles.at(24_001), angles.at(6_000)), (None, None));
+    }
+}

@@ -1,0 +1,798 @@
+//! The whole unit: the application's tasks on simulated devices, buses and motor, in virtual time.
+//!
+//! ```text
+//!  truth (swing, sway) ──┐                              ┌── plant: motor, friction, cogging, cable ◄── PWM, enable
+//!                        ├─► mean over a sample ─► errors ─► ADIS16495 ─ SPI, data-ready ─► app::sampling
+//!  plant: rotor angle ───┘                              └─► MT6835 ──── SPI ─────────────► app::motor
+//! ```
+//!
+//! The rotor's angle is the plant's, which the application's motor loop drives; the motion the IMU sees is composed of
+//! the truth's swing and that angle. The base's angular acceleration acts back on the rotor by its inertia.
+//!
+//! | bus | figure |
+//! |---|---|
+//! | IMU | DEC_RATE 20: 202.4 samples a second; SPI 4 MHz, 20 µs from its end to the task |
+//! | encoder | 1000 readings a second; SPI 8 MHz, 20 µs |
+//! | PWM | 20 kHz |
+//! | watchdog | 100 ms |
+//!
+//! Tasks cost processor time: 40 µs a poll of the motor's loop, 20 µs for sampling, 150 µs for alignment, 10 µs for
+//! supervision. Not modelled: the 11 ms of a replay step, delays inside the devices.
+
+mod record;
+mod world;
+
+use core::cell::{Cell, RefCell};
+use std::rc::Rc;
+
+use app::alignment::{self, AlignmentConfig};
+use app::fault::{Fault, Task};
+use app::hal::{ChangeOver, Edge, EdgeCapture, MagneticEncoder, ResetCause};
+use app::mode::{ModeName, Status};
+use app::motor::{self, Drive, HARMONICS};
+use app::rotor::{self, HomeSwitch, Homing, Rotor};
+use app::sampling::{self, SamplingConfig};
+use app::selftest::InspectionConfig;
+use app::shared::{Navigation, SampleCounts, Shared};
+use app::supervisor::{self, SupervisorConfig};
+use drivers::harmonics::{Harmonic, Harmonics};
+use drivers::motor::MotorDriver;
+use drivers::mt6835::{self, Warnings};
+use drivers::{Channels, SystemFlags, adis16495};
+use embassy_futures::select::{Either, select};
+use embassy_time::{Delay, Duration, Instant};
+use frames::units::{ARC_SEC, DEG, DEG_PER_HOUR};
+use nav::aligner::{Aligner, AlignerConfig, AlignerError};
+use nav::increment::Sample;
+use rand::RngExt;
+use serde::Serialize;
+use vtime::{Executor, Failure, Level, LocalRawMutex, TaskId, now_ns, sleep_until_ns};
+
+use crate::align::{self, Angles, Method, Reading, Setup};
+use crate::bus::{DataReady, Input, Line as Wire, Part, PwmSink, SpiFaults, SpiPort, SpiTiming, pwm};
+use crate::device::{self, Motion};
+use crate::plant::{Cable, Plant, PlantConfig};
+use crate::scenario::{FaultAt, FaultKind, Scenario, Violation};
+use crate::sensors::{Imu, Measured, Stream, stream};
+use crate::truth::Truth;
+
+pub use record::Line;
+use record::Recording;
+use world::World;
+
+/// Longest start of a unit: when it has not begun to align by then, the run's time begins.
+const START_LIMIT_S: f64 = 60.0;
+/// The watchdog's time, ns.
+const WATCHDOG_NS: u64 = 100_000_000;
+/// Spread of a motor's figures about those the firmware is told.
+const MOTOR_SPREAD: f64 = 0.1;
+/// Room beyond the schedule's travel that the cable has, rad.
+const CABLE_ROOM: f64 = 15.0 * DEG;
+
+const IMU_HZ: u32 = 4_000_000;
+const ENCODER_HZ: u32 = 8_000_000;
+const DMA_LATENCY_NS: u32 = 20_000;
+const PWM_PERIOD_NS: u64 = 50_000;
+
+type Bus = Shared<LocalRawMutex>;
+
+/// Why a unit cannot be simulated.
+#[derive(Debug, Clone, PartialEq)]
+pub enum UnitError {
+    /// The scenario has a figure out of range.
+    Scenario(Violation),
+    /// The aligner refuses its configuration.
+    Aligner(AlignerError),
+    /// The rotor's control refuses the scenario's rotor.
+    Rotor(rotor::ConfigError),
+    /// The unit's program hangs or panics.
+    Program(Failure),
+}
+
+impl core::fmt::Display for UnitError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Scenario(e) => e.fmt(f),
+            Self::Aligner(e) => e.fmt(f),
+            Self::Rotor(e) => write!(f, "rotor: {e}: `run` simulates the core alone"),
+            Self::Program(e) => write!(f, "the unit's program: {e:?}"),
+        }
+    }
+}
+
+impl core::error::Error for UnitError {}
+
+impl From<Violation> for UnitError {
+    fn from(e: Violation) -> Self {
+        Self::Scenario(e)
+    }
+}
+
+/// A mode with the time it was entered.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ModeAt {
+    /// Time since power-up, s.
+    pub t_s: f64,
+    /// The mode.
+    pub mode: &'static str,
+}
+
+/// A fault as the unit found it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FaultFound {
+    /// When it was found, s since power-up.
+    pub t_s: f64,
+    /// Its kind.
+    pub name: &'static str,
+    /// Its facts.
+    pub text: String,
+    /// Whether it stays.
+    pub latched: bool,
+    /// From being found to the motor off, ms; zero where it was off already.
+    pub motor_off_ms: f64,
+    /// The longest time to find it that its rule allows, ms.
+    pub allowed_ms: u32,
+}
+
+/// The estimate beside the truth.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct UnitMoment {
+    /// Time since power-up, s.
+    pub t_s: f64,
+    /// What the unit says.
+    pub reading: Reading,
+    /// True attitude of the housing.
+    pub truth: Angles,
+    /// `reading − truth`.
+    pub error: Angles,
+}
+
+/// What became of the samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Samples {
+    /// Received.
+    pub received: u32,
+    /// Lost, by the IMU's count.
+    pub lost: u32,
+    /// Repeated, and left out.
+    pub repeated: u32,
+    /// Transfers that failed.
+    pub transfers: u32,
+    /// Dropped because the alignment did not keep up.
+    pub overruns: u32,
+    /// With a sensor at the end of its range.
+    pub saturated: u32,
+    /// Edges that the simulator lost between the first and the last that the unit got.
+    pub edges_lost: u64,
+}
+
+/// How a run of the unit ended.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct UnitResult {
+    /// Scenario by name.
+    pub scenario: String,
+    /// Seed of the run.
+    pub seed: u64,
+    /// The fine filter.
+    pub method: Method,
+    /// `aligned`, or the mode.
+    pub state: &'static str,
+    /// Length of the run from power-up, s.
+    pub t_s: f64,
+    /// When the alignment began, s.
+    pub aligning_at_s: Option<f64>,
+    /// When it first was aligned, s.
+    pub aligned_at_s: Option<f64>,
+    /// Modes in order.
+    pub modes: Vec<ModeAt>,
+    /// Faults in order.
+    pub faults: Vec<FaultFound>,
+    /// Resets of the unit.
+    pub resets: u32,
+    /// Samples since the last reset.
+    pub samples: Samples,
+    /// Whether the cable was wound past what it bears.
+    pub wound_past: bool,
+    /// The last estimate.
+    #[serde(rename = "final")]
+    pub last: Option<UnitMoment>,
+    /// The same by the core alone, on the same motion and sensor errors without devices, buses and tasks: exact times,
+    /// no sample lost, true rotor angle.
+    pub core: Option<UnitMoment>,
+    /// Hash of everything that happened on tasks and wires.
+    pub trace: u64,
+}
+
+/// What a run is told while it goes.
+pub trait Observer {
+    /// The unit has written a line.
+    fn line(&mut self, _line: &Line) {}
+    /// Virtual time has come so far, s.
+    fn time(&mut self, _t_s: f64) {}
+}
+
+/// Nobody looks.
+impl Observer for () {}
+
+/// The core alone, beside the unit.
+struct Core {
+    aligner: Aligner<f32>,
+    last: Option<Navigation>,
+}
+
+impl Core {
+    fn take(&mut self, t_us: u64, measured: &Measured, dt: f64, alpha: f64) {
+        let sample = Sample {
+            dtheta_s: measured.dtheta_s,
+            dv_s: measured.dv_s,
+            dt,
+            gap: 0.0,
+        };
+        self.aligner.step(&align::cast(&sample), alpha as f32);
+        // An estimate now and then: the last one before the end is compared.
+        if t_us.is_multiple_of(16) {
+            self.last = Some(Navigation {
+                t_us,
+                mode: self.aligner.mode(),
+                estimate: self.aligner.estimate(),
+                not_ready: None,
+            });
+        }
+    }
+}
+
+/// What is seen of the unit from outside.
+#[derive(Default)]
+struct Record {
+    modes: Vec<ModeAt>,
+    faults: Vec<FaultFound>,
+    last: Option<Navigation>,
+    aligning_at_us: Option<u64>,
+    aligned_at_s: Option<f64>,
+    lines: Vec<Line>,
+}
+
+/// Data-ready with its stamp, as an EXTI interrupt gives it.
+struct Ready {
+    input: Input,
+    line: Wire,
+    lost: Rc<Cell<LostEdges>>,
+}
+
+/// Edges that the line had lost when the unit was told its first and its last one.
+#[derive(Debug, Clone, Copy, Default)]
+struct LostEdges {
+    first: Option<u64>,
+    last: u64,
+}
+
+impl EdgeCapture for Ready {
+    async fn edge(&mut self) -> Edge {
+        let stamp = self.input.rising().await;
+        let (lost, mut seen) = (self.line.lost(), self.lost.get());
+        // Of an edge that waited the stamp is older: it was not served.
+        if stamp.at_ns + 1000 > now_ns() {
+            seen.first.get_or_insert(lost);
+            seen.last = lost;
+            self.lost.set(seen);
+        }
+        Edge {
+            t_us: stamp.instant().as_micros(),
+            overrun: u32::try_from(stamp.overrun).unwrap_or(u32::MAX),
+        }
+    }
+}
+
+/// Devices, wires and physics: what outlives a reset of the unit.
+struct Bench {
+    world: World,
+    imu: Part<device::Adis16495>,
+    encoder: Part<device::Mt6835>,
+    ready: Wire,
+    lost: Rc<Cell<LostEdges>>,
+    timer: RefCell<Option<PwmSink>>,
+    rotor: rotor::Config,
+    correction: Harmonics<HARMONICS>,
+    aligner: AlignerConfig<f32>,
+    alignment: AlignmentConfig,
+    sampling: SamplingConfig,
+    tasks: Rc<RefCell<Vec<TaskId>>>,
+    shared: Rc<RefCell<Rc<Bus>>>,
+    reset: Rc<Cell<Option<ResetCause>>>,
+    record: Rc<RefCell<Record>>,
+}
+
+/// The timer in the hands of the unit that runs; it goes back to the bench with a reset.
+struct Timer(Rc<Bench>, Option<PwmSink>);
+
+impl drivers::motor::ThreePhase for Timer {
+    fn set_duties(&mut self, duties: [drivers::motor::Duty; 3]) {
+        if let Some(timer) = &mut self.1 {
+            timer.set_duties(duties);
+        }
+    }
+
+    fn outputs_off(&mut self) {
+        if let Some(timer) = &mut self.1 {
+            timer.outputs_off();
+        }
+        let world = &self.0.world;
+        // The plant learns of it at the next look: now.
+        world.now(|physics| physics.note(now_ns()));
+    }
+}
+
+impl Drop for Timer {
+    fn drop(&mut self) {
+        *self.0.timer.borrow_mut() = self.1.take();
+    }
+}
+
+/// Runs the unit in a scenario until it has aligned for the scenario's duration, resets and retries included.
+///
+/// # Errors
+/// [`UnitError`] where the scenario is no unit's, or the program hangs.
+pub fn run(
+    scenario: &Scenario,
+    seed: u64,
+    method: Method,
+    observer: &mut dyn Observer,
+) -> Result<UnitResult, UnitError> {
+    let truth = Rc::new(Truth::new(scenario, seed)?);
+    let bench = Rc::new(bench(scenario, seed, method, &truth)?);
+    let record = Rc::clone(&bench.record);
+    let lines = Rc::clone(&record);
+    let _recording = Recording::to(Box::new(move |line| lines.borrow_mut().lines.push(line)));
+
+    let mut executor = Executor::new();
+    let core = Rc::new(RefCell::new(Core {
+        aligner: Aligner::new(bench.aligner).map_err(UnitError::Aligner)?,
+        last: None,
+    }));
+    spawn_world(&mut executor, &bench, &truth, &core, scenario, seed);
+    boot(&mut executor, &bench)?;
+    let duration_us = (scenario.run.duration_s * 1e6) as u64;
+    let limit_us = (START_LIMIT_S * 1e6) as u64;
+    let mut resets = 0;
+    loop {
+        let begun = record.borrow().aligning_at_us;
+        let end_us = begun.unwrap_or(limit_us).saturating_add(duration_us);
+        let now_us = executor.now().as_micros();
+        if now_us >= end_us {
+            break;
+        }
+        let next_us = (now_us / 1_000_000 + 1) * 1_000_000;
+        let stop = executor
+            .run_until(Instant::from_micros(next_us.min(end_us)))
+            .map_err(UnitError::Program)?;
+        for line in record.borrow_mut().lines.drain(..) {
+            observer.line(&line);
+        }
+        observer.time(executor.now().as_micros() as f64 * 1e-6);
+        if stop == vtime::Stop::Requested
+            && let Some(cause) = bench.reset.take()
+        {
+            resets += 1;
+            observer.line(&Line {
+                t_us: executor.now().as_micros(),
+                level: log::Level::Warn,
+                text: format!("-- reset: {cause} --"),
+            });
+            for task in bench.tasks.borrow_mut().drain(..) {
+                executor.cancel(task);
+            }
+            app::hal::Cutoff::cut(&mut bench.world.clone());
+            boot(&mut executor, &bench)?;
+        }
+    }
+    let shared = Rc::clone(&bench.shared.borrow());
+    let counts: SampleCounts = shared.sample_counts();
+    let edges = bench.lost.get();
+    let trace = executor.trace();
+    let t_s = executor.now().as_micros() as f64 * 1e-6;
+    let record = record.borrow();
+    let last = record.last.and_then(|navigation| moment(&navigation, &truth));
+    let core = core.borrow().last.and_then(|navigation| moment(&navigation, &truth));
+    let mode = record.modes.last().map_or("idle", |at| at.mode);
+    Ok(UnitResult {
+        scenario: scenario.name.clone(),
+        seed,
+        method,
+        state: mode,
+        t_s,
+        aligning_at_s: record.aligning_at_us.map(|us| us as f64 * 1e-6),
+        aligned_at_s: record.aligned_at_s,
+        modes: record.modes.clone(),
+        faults: record.faults.clone(),
+        resets,
+        samples: Samples {
+            received: counts.tally.received,
+            lost: counts.tally.lost,
+            repeated: counts.tally.repeated,
+            transfers: counts.transfers,
+            overruns: counts.overruns,
+            saturated: counts.saturated,
+            edges_lost: edges.last - edges.first.unwrap_or(edges.last),
+        },
+        wound_past: bench.world.now(|physics| physics.plant.wound_past()),
+        last,
+        core,
+        trace,
+    })
+}
+
+fn moment(navigation: &Navigation, truth: &Truth) -> Option<UnitMoment> {
+    let reading = Reading::from_estimate(navigation.estimate.as_ref()?);
+    let t_s = navigation.t_us as f64 * 1e-6;
+    let truth = Angles::from_attitude(&truth.attitude(t_s));
+    Some(UnitMoment {
+        t_s,
+        reading,
+        truth,
+        error: reading.attitude.minus(&truth),
+    })
+}
+
+/// What a unit in this scenario is made of and told.
+fn bench(scenario: &Scenario, seed: u64, method: Method, truth: &Truth) -> Result<Bench, UnitError> {
+    let mut start = stream(seed, Stream::RotorStart);
+    let mut made = stream(seed, Stream::Plant);
+    let travel = scenario.rotor.travel_deg * DEG;
+    let edge = 0.5 * travel;
+    let plant = PlantConfig {
+        cable: PlantConfig::default().cable.map(|cable| Cable {
+            low: -CABLE_ROOM,
+            high: travel + CABLE_ROOM,
+            rest: edge,
+            ..cable
+        }),
+        home_edge: edge,
+        ..PlantConfig::default()
+    }
+    .varied(made.random(), MOTOR_SPREAD);
+    let schedule = Setup::of(scenario, method).rotor;
+    let rotor = rotor::Config {
+        encoder_zero: plant.encoder_zero as f32,
+        schedule: nav::rotor::RotorConfig {
+            rate: schedule.rate as f32,
+            travel: schedule.travel as f32,
+            acceleration: schedule.acceleration as f32,
+        },
+        homing: Homing::HomeSwitch(HomeSwitch {
+            edge: edge as f32,
+            ..HomeSwitch::default()
+        }),
+        ..rotor::Config::default()
+    };
+    rotor.validate().map_err(UnitError::Rotor)?;
+
+    let mut rows = [Harmonic::default(); HARMONICS];
+    for (row, (order, amplitude, phase)) in rows.iter_mut().zip(&plant.encoder_harmonics) {
+        *row = Harmonic {
+            order: *order,
+            amplitude: *amplitude as f32,
+            phase: *phase as f32,
+        };
+    }
+    // What the scenario adds is not in the unit's table: it is what the calibration has left.
+    let mut harmonics = plant.encoder_harmonics.clone();
+    harmonics.extend(scenario.encoder.harmonics.iter().map(|h| {
+        (
+            u16::try_from(h.order).unwrap_or(u16::MAX),
+            h.amplitude_arcsec * ARC_SEC,
+            h.phase_deg * DEG,
+        )
+    }));
+    let (timer, monitor) = pwm(PWM_PERIOD_NS);
+    let world = World::new(
+        Plant::new(plant, start.random_range(0.0..travel), made.random()),
+        monitor,
+    );
+
+    let imu = Part::new(device::Adis16495::new(0, IMU_HZ));
+    let mut model = device::Mt6835::new();
+    model.set_harmonics(harmonics);
+    let encoder = Part::new(model);
+    let physics = world.clone();
+    encoder.before(move |model: &mut device::Mt6835, ns| {
+        model.set_angle(physics.at(ns, |physics| physics.plant.shaft_angle()));
+    });
+    let setup = Setup::of(scenario, method);
+    let aligner = setup.config::<f32>();
+    Aligner::<f32>::new(aligner).map_err(UnitError::Aligner)?;
+    // Earth's rate and 5σ of the biases of three gyros.
+    let rest_rate = (15.04 + 5.0 * 3.0_f64.sqrt() * setup.unit.gyro_bias_sd_deg_h) * DEG_PER_HOUR;
+    Ok(Bench {
+        world,
+        imu,
+        encoder,
+        ready: Wire::new(false),
+        lost: Rc::default(),
+        timer: RefCell::new(Some(timer)),
+        rotor,
+        correction: Harmonics::new(rows).unwrap_or_default(),
+        aligner,
+        alignment: AlignmentConfig {
+            inspection: InspectionConfig {
+                gravity: truth.gravity() as f32,
+                rest_rate_max: rest_rate as f32,
+                ..InspectionConfig::default()
+            },
+            ..AlignmentConfig::default()
+        },
+        sampling: SamplingConfig {
+            edge_delay_us: scenario.buses.edge_delay_us.round() as u32,
+            ..SamplingConfig::default()
+        },
+        tasks: Rc::default(),
+        shared: Rc::new(RefCell::new(Rc::new(Shared::new()))),
+        reset: Rc::default(),
+        record: Rc::default(),
+    })
+}
+
+/// Physics, IMU clock, watchdog and faults.
+fn spawn_world(
+    executor: &mut Executor<'_>,
+    bench: &Rc<Bench>,
+    truth: &Rc<Truth>,
+    core: &Rc<RefCell<Core>>,
+    scenario: &Scenario,
+    seed: u64,
+) {
+    let ready = DataReady {
+        delay_us: scenario.buses.edge_delay_us,
+        jitter_sd_us: scenario.buses.edge_jitter_us,
+        loss: scenario.buses.edge_loss,
+        ..DataReady::default()
+    };
+    let (world, truth) = (bench.world.clone(), Rc::clone(truth));
+    let mut errors = Imu::new(scenario, seed);
+    let inertia = world.now(|physics| physics.plant.config().inertia);
+    let mut before: Option<(f64, f64)> = None;
+    let (core, record) = (Rc::clone(core), Rc::clone(&bench.record));
+    let motion = move |from_us: u64, to_us: u64| {
+        let (from_us, to_us) = (from_us.min(to_us.saturating_sub(1)), to_us);
+        let (t0, t1) = (from_us as f64 * 1e-6, to_us as f64 * 1e-6);
+        let dt = t1 - t0;
+        world.at(to_us * 1000, |physics| {
+            let (from, to) = (physics.rotor_at(from_us * 1000), physics.rotor_at(to_us * 1000));
+            let (dtheta_s, dv_s) = truth.increment_driven((t0, from), (t1, to));
+            // The housing's own turning takes the rotor along by its friction and its inertia against it.
+            let base = (dtheta_s.z() - (to.angle - from.angle)) / dt;
+            if let Some((t, rate)) = before
+                && t1 - t < 0.02
+            {
+                physics.plant.load = -inertia * (base - rate) / (t1 - t);
+            }
+            before = Some((t1, base));
+            let measured = errors.measure(dtheta_s, dv_s, dt);
+            if record.borrow().aligning_at_us.is_some() {
+                core.borrow_mut().take(to_us, &measured, dt, to.angle);
+            }
+            Motion {
+                rate: (measured.dtheta_s / dt).to_array(),
+                force: (measured.dv_s / dt).to_array(),
+                temperature_c: 25.0,
+            }
+        })
+    };
+    executor.spawn(
+        "IMU",
+        Level::World,
+        ready.run(
+            bench.imu.clone(),
+            bench.ready.clone(),
+            stream(seed, Stream::DataReady),
+            motion,
+        ),
+    );
+
+    let dog = Rc::clone(bench);
+    executor.spawn("watchdog", Level::World, async move {
+        loop {
+            sleep_until_ns(now_ns() + WATCHDOG_NS / 10).await;
+            // It runs from its first feeding on.
+            let fed_ns = dog.world.now(|physics| physics.fed_ns);
+            if fed_ns > 0 && now_ns() - fed_ns > WATCHDOG_NS {
+                dog.world.now(|physics| physics.fed_ns = 0);
+                dog.reset.set(Some(ResetCause::Watchdog));
+                vtime::stop();
+            }
+        }
+    });
+
+    let mut steps: Vec<(u64, FaultKind, bool)> = Vec::new();
+    for FaultAt { at_s, for_s, kind } in &scenario.fault {
+        let ns = |s: f64| (s * 1e9) as u64;
+        steps.push((ns(*at_s), *kind, true));
+        if let Some(length) = for_s {
+            steps.push((ns(at_s + length), *kind, false));
+        }
+    }
+    steps.sort_by_key(|(at_ns, _, _)| *at_ns);
+    let bench = Rc::clone(bench);
+    executor.spawn("faults", Level::World, async move {
+        for (at_ns, kind, on) in steps {
+            sleep_until_ns(at_ns).await;
+            inject(&bench, kind, on);
+        }
+    });
+}
+
+/// Breaks something, or mends it.
+fn inject(bench: &Bench, kind: FaultKind, on: bool) {
+    let imu = |set: &dyn Fn(&mut device::ImuFaults)| bench.imu.with(|model| set(&mut model.faults));
+    let encoder = |set: &dyn Fn(&mut device::EncoderFaults)| bench.encoder.with(|model| set(&mut model.faults));
+    let plant = |set: &dyn Fn(&mut crate::plant::PlantFaults)| {
+        bench.world.now(|physics| {
+            set(&mut physics.plant.faults);
+            physics.note(now_ns());
+        });
+    };
+    let hang = |task: Task| {
+        if let Some(id) = bench.tasks.borrow().get(task.index()) {
+            id.freeze(on);
+        }
+    };
+    let many = if on { u32::MAX } else { 0 };
+    match kind {
+        FaultKind::ImuEdges => bench.ready.force(on.then_some(false)),
+        FaultKind::ImuSilent => imu(&|f| f.silent = on.then_some(0xFF)),
+        FaultKind::ImuCrc => imu(&|f| f.bad_crc = many),
+        FaultKind::ImuSaturated => imu(&|f| f.saturated = if on { Channels::RATE_Z } else { Channels::NONE }),
+        FaultKind::ImuStuckData => imu(&|f| f.stuck_data = on),
+        FaultKind::ImuStuckCounter => imu(&|f| f.stuck_counter = on),
+        FaultKind::ImuFlags => imu(&|f| f.flags = if on { SystemFlags::OVERRUN.bits() } else { 0 }),
+        FaultKind::ImuHot => imu(&|f| f.temperature_c = on.then_some(110.0)),
+        FaultKind::ImuRate => decimate(&bench.imu, if on { 24 } else { 20 }),
+        FaultKind::ImuBus => bench.imu.set_faults(SpiFaults {
+            stuck: on,
+            ..SpiFaults::default()
+        }),
+        FaultKind::EncoderSilent => encoder(&|f| f.silent = on.then_some(0xFF)),
+        FaultKind::EncoderCrc => encoder(&|f| f.bad_crc = many),
+        FaultKind::EncoderFrozen => encoder(&|f| f.frozen = on),
+        FaultKind::EncoderWeak => encoder(&|f| {
+            f.warnings = if on { Warnings::WEAK_FIELD } else { Warnings::NONE };
+        }),
+        FaultKind::Driver => plant(&|f| f.driver_fault = on),
+        FaultKind::Jam => plant(&|f| f.stuck = on),
+        FaultKind::HomeBroken => plant(&|f| f.home_broken = on),
+        FaultKind::HomeStuck => plant(&|f| f.home_stuck = on.then_some(rotor::Side::Above)),
+        FaultKind::HangSampling => hang(Task::Sampling),
+        FaultKind::HangMotor => hang(Task::Motor),
+        FaultKind::HangAlignment => hang(Task::Alignment),
+        FaultKind::Reset => {
+            if on {
+                bench.reset.set(Some(ResetCause::Pin));
+                vtime::stop();
+            }
+        }
+    }
+}
+
+/// Writes DEC_RATE behind the driver's back, as a disturbance on the lines might.
+fn decimate(imu: &Part<device::Adis16495>, dec_rate: u16) {
+    use crate::device::SpiTarget as _;
+    let at = adis16495::register::DEC_RATE;
+    let page = adis16495::register::PAGE_ID | adis16495::WRITE;
+    let [low, high] = dec_rate.to_le_bytes();
+    let frames = [
+        [page, at.page],
+        [at.address | adis16495::WRITE, low],
+        [(at.address + 1) | adis16495::WRITE, high],
+        [page, 0],
+    ];
+    let mut now_us = now_ns() / 1000;
+    imu.with(|model| {
+        for frame in frames {
+            model.transfer(now_us, &frame, &mut [0; 2]);
+            // Two bytes and the stall.
+            now_us += 10;
+        }
+    });
+}
+
+/// Starts the unit's program.
+fn boot(executor: &mut Executor<'_>, bench: &Rc<Bench>) -> Result<(), UnitError> {
+    let shared = Rc::new(Bus::new());
+    *bench.shared.borrow_mut() = Rc::clone(&shared);
+    let timing = |hz| SpiTiming {
+        latency_ns: DMA_LATENCY_NS,
+        ..SpiTiming::at(hz)
+    };
+
+    let imu = adis16495::Adis16495::new(SpiPort::alone(&bench.imu, timing(IMU_HZ)), Delay);
+    bench.lost.set(LostEdges::default());
+    let edges = Ready {
+        input: bench.ready.input(),
+        line: bench.ready.clone(),
+        lost: Rc::clone(&bench.lost),
+    };
+    let (config, s) = (bench.sampling, Rc::clone(&shared));
+    let sampling = executor.spawn("sampling", Level::Thread, async move {
+        sampling::run(&s, imu, adis16495::Config::default(), edges, config).await
+    });
+    sampling.set_cost(Duration::from_micros(20));
+
+    let encoder = MagneticEncoder {
+        driver: mt6835::Mt6835::new(SpiPort::alone(&bench.encoder, timing(ENCODER_HZ))),
+        config: mt6835::Config::default(),
+    };
+    let (enable, n_fault, below, above) = bench.world.pins();
+    let mut control = Box::new(Rotor::new(bench.rotor).map_err(UnitError::Rotor)?);
+    let timer = bench.timer.borrow_mut().take();
+    let pwm = Timer(Rc::clone(bench), timer);
+    let (correction, s) = (bench.correction, Rc::clone(&shared));
+    let motor = executor.spawn("motor", Level::Interrupt, async move {
+        // The pins of the simulator cannot fail.
+        if let Ok(driver) = MotorDriver::new(enable, n_fault) {
+            let home = ChangeOver { below, above };
+            let drive = Drive { driver, pwm, home };
+            motor::run(&s, encoder, drive, &mut control, correction).await;
+        }
+    });
+    motor.set_cost(Duration::from_micros(40));
+
+    let mut aligner = Box::new(Aligner::<f32>::new(bench.aligner).map_err(UnitError::Aligner)?);
+    let (config, s) = (bench.alignment, Rc::clone(&shared));
+    let alignment = executor.spawn("alignment", Level::Thread, async move {
+        alignment::run(&s, &mut aligner, config).await
+    });
+    alignment.set_cost(Duration::from_micros(150));
+
+    let (world, s) = (bench.world.clone(), Rc::clone(&shared));
+    let supervisor = executor.spawn("supervisor", Level::Thread, async move {
+        supervisor::run(&s, world.clone(), world, SupervisorConfig::default()).await
+    });
+    supervisor.set_cost(Duration::from_micros(10));
+
+    let (world, record) = (bench.world.clone(), Rc::clone(&bench.record));
+    let recorder = executor.spawn("recorder", Level::World, async move {
+        let (Some(mut status), Some(mut navigation)) = (shared.status.receiver(), shared.navigation.receiver()) else {
+            return;
+        };
+        loop {
+            match select(status.changed(), navigation.changed()).await {
+                Either::First(status) => see(&mut record.borrow_mut(), &status, &shared, &world),
+                Either::Second(navigation) => record.borrow_mut().last = Some(navigation),
+            }
+        }
+    });
+    // By the index of the task, then the others.
+    *bench.tasks.borrow_mut() = vec![sampling, motor, alignment, supervisor, recorder];
+    Ok(())
+}
+
+/// Notes what the unit shows of its mode.
+fn see(record: &mut Record, status: &Status, shared: &Bus, world: &World) {
+    let t_s = status.since_us as f64 * 1e-6;
+    let mode = status.mode.as_str();
+    if record.modes.last().is_none_or(|last| last.mode != mode) {
+        record.modes.push(ModeAt { t_s, mode });
+    }
+    match status.mode {
+        ModeName::Coarse => {
+            record.aligning_at_us.get_or_insert(status.since_us);
+        }
+        ModeName::Aligned => {
+            record.aligned_at_s.get_or_insert(t_s);
+        }
+        _ => {}
+    }
+    let Some(fault) = status.fault else { return };
+    let found_us = shared.inhibited_since_us();
+    let motor_off_ms = world.now(|physics| {
+        let off_ns = if physics.driven() { u64::MAX } else { physics.off_ns };
+        off_ns.saturating_sub(found_us * 1000) as f64 * 1e-6
+    });
+    record.faults.push(FaultFound {
+        t_s: found_us as f64 * 1e-6,
+        name: fault.name(),
+        text: Fault::to_string(&fault),
+        latched: status.latched,
+        motor_off_ms,
+        allowed_ms: fault.rule().within_ms,
+    });
+}

@@ -1,0 +1,171 @@
+//! The whole unit in virtual time: alignment, determinism, lost samples, faults.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use hal_sim::align::Method;
+use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
+use hal_sim::unit_sim::{self, Line, Observer, UnitResult};
+use rayon::prelude::*;
+
+fn paper() -> Scenario {
+    Scenario::builtin("paper-sim").unwrap()
+}
+
+fn run(scenario: &Scenario, seed: u64) -> UnitResult {
+    unit_sim::run(scenario, seed, Method::Kf, &mut ()).unwrap()
+}
+
+fn rms(values: impl IntoIterator<Item = f64>) -> f64 {
+    let values: Vec<f64> = values.into_iter().collect();
+    (values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+#[derive(Default)]
+struct Lines(Vec<String>);
+
+impl Observer for Lines {
+    fn line(&mut self, line: &Line) {
+        self.0.push(line.to_string());
+    }
+}
+
+#[test]
+fn one_seed_one_log() {
+    let mut scenario = paper();
+    scenario.run.duration_s = 70.0;
+    scenario.buses.edge_loss = 0.01;
+    scenario.fault.push(FaultAt {
+        at_s: 60.0,
+        for_s: Some(0.1),
+        kind: FaultKind::ImuCrc,
+    });
+    let run = || {
+        let mut lines = Lines::default();
+        let result = unit_sim::run(&scenario, 5, Method::Kf, &mut lines).unwrap();
+        (result, lines.0)
+    };
+    let (a, b) = (run(), run());
+    assert!(a.1.len() > 100);
+    assert_eq!(a, b);
+}
+
+/// Twenty seeds, each beside the core alone on the same motion and sensor errors, and once more with 1 % of the
+/// data-ready edges lost. Two sets of independent errors would differ by 1/√20 = 22 % (1σ) by chance alone.
+#[test]
+fn heading_is_the_cores_and_lost_samples_cost_little() {
+    let lossy = {
+        let mut scenario = paper();
+        scenario.buses.edge_loss = 0.01;
+        scenario
+    };
+    let runs: Vec<(UnitResult, UnitResult)> = (1..=20_u64)
+        .into_par_iter()
+        .map(|seed| (run(&paper(), seed), run(&lossy, seed)))
+        .collect();
+    let heading = |moment: &Option<unit_sim::UnitMoment>| moment.as_ref().unwrap().error.heading_deg;
+    for (unit, lossy) in &runs {
+        assert_eq!((unit.state, lossy.state), ("aligned", "aligned"), "seed {}", unit.seed);
+        assert!(unit.faults.is_empty() && lossy.faults.is_empty(), "{:?}", unit.faults);
+        assert_eq!(
+            (unit.samples.lost, unit.samples.repeated, unit.samples.overruns),
+            (0, 0, 0)
+        );
+        assert_eq!(u64::from(lossy.samples.lost), lossy.samples.edges_lost);
+        assert!(lossy.samples.lost > 400);
+        assert!(!unit.wound_past);
+    }
+    let core = rms(runs.iter().map(|(unit, _)| heading(&unit.core)));
+    let unit = rms(runs.iter().map(|(unit, _)| heading(&unit.last)));
+    let lossy = rms(runs.iter().map(|(_, lossy)| heading(&lossy.last)));
+    println!("heading rms: core {core:.4} deg, unit {unit:.4}, with 1 % of samples lost {lossy:.4}");
+    assert!((unit / core - 1.0).abs() < 0.1, "{unit} {core}");
+    assert!(lossy / unit < 1.1, "{lossy} {unit}");
+}
+
+/// Where the unit is some time after a fault that lasts for a second.
+fn outcome(result: &UnitResult) -> String {
+    let found = &result.faults[0];
+    let after: Vec<&str> = result
+        .modes
+        .iter()
+        .filter(|at| at.t_s > found.t_s)
+        .map(|at| at.mode)
+        .collect();
+    if result.resets > 0 {
+        format!("reset, then {}", result.state)
+    } else if after.is_empty() {
+        "latched".to_owned()
+    } else {
+        format!(
+            "{} retries, then {}",
+            after.iter().filter(|mode| **mode == "self-test").count(),
+            result.state
+        )
+    }
+}
+
+#[test]
+fn every_fault_is_found_in_time_and_the_motor_is_off() {
+    use FaultKind as F;
+    let table = [
+        (F::ImuEdges, "imu-silent"),
+        (F::ImuSilent, "imu-transfer"),
+        (F::ImuCrc, "imu-transfer"),
+        (F::ImuSaturated, "imu-saturated"),
+        (F::ImuStuckData, "imu-stuck"),
+        (F::ImuStuckCounter, "imu-stuck"),
+        (F::ImuFlags, "imu-flags"),
+        (F::ImuHot, "over-temperature"),
+        (F::ImuRate, "clock"),
+        (F::ImuBus, "task-overrun"),
+        (F::EncoderSilent, "encoder-invalid"),
+        (F::EncoderCrc, "encoder-invalid"),
+        (F::EncoderFrozen, "encoder-frozen"),
+        (F::EncoderWeak, "encoder-warning"),
+        (F::Driver, "driver"),
+        (F::Jam, "stall"),
+        (F::HomeBroken, "rotor"),
+        (F::HomeStuck, "rotor"),
+        (F::HangSampling, "task-overrun"),
+        (F::HangMotor, "task-overrun"),
+        (F::HangAlignment, "task-overrun"),
+    ];
+    // In a leg, near a turning point, and while the fine filter replays.
+    let instants = [40.0, 80.13, 100.0037, 113.77];
+    let rows: Vec<_> = table
+        .par_iter()
+        .map(|(kind, name)| {
+            let (mut found_ms, mut off_ms, mut allowed) = (0.0_f64, 0.0_f64, 0);
+            let mut next = String::new();
+            for (seed, at_s) in instants.into_iter().enumerate() {
+                let mut scenario = paper();
+                scenario.run.duration_s = 250.0;
+                let for_s = Some(if *kind == F::HomeStuck { 20.0 } else { 1.0 });
+                scenario.fault.push(FaultAt {
+                    at_s,
+                    for_s,
+                    kind: *kind,
+                });
+                let result = run(&scenario, seed as u64);
+                let found = result
+                    .faults
+                    .first()
+                    .unwrap_or_else(|| panic!("{kind:?} at {at_s} s was not found"));
+                assert_eq!(found.name, *name, "{kind:?} at {at_s}: {}", found.text);
+                assert!(!result.wound_past, "{kind:?}");
+                found_ms = found_ms.max(1e3 * (found.t_s - at_s));
+                off_ms = off_ms.max(found.motor_off_ms);
+                allowed = found.allowed_ms;
+                next = outcome(&result);
+            }
+            (kind, name, found_ms, off_ms, allowed, next)
+        })
+        .collect();
+    println!("| injected | found as | found in | allowed | motor off in | what next |\n|---|---|---|---|---|---|");
+    for (kind, name, found_ms, off_ms, allowed, next) in &rows {
+        println!("| {kind:?} | {name} | {found_ms:.1} ms | {allowed} ms | {off_ms:.3} ms | {next} |");
+    }
+    for (kind, _, found_ms, off_ms, allowed, _) in &rows {
+        assert!(*found_ms <= f64::from(*allowed), "{kind:?}: {found_ms} ms");
+        assert!(*off_ms <= 2.0, "{kind:?}: {off_ms} ms");
+    }
+}
