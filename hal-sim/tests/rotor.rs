@@ -524,6 +524,12 @@ fn a_thousand_runs_with_resets_and_faults() {
     for (name, ticks) in NAMES.into_iter().zip(tally.latency) {
         println!("{name}: outputs off after {ticks} ms at most");
     }
+    // In closed loop, ticks of 1 ms: detection, and the outputs off in the same tick.
+    let [driver, stuck, silent, frozen, jumps, broken, _] = tally.latency;
+    assert_eq!(driver, 1);
+    assert!(silent.max(jumps).max(broken) <= 3, "{tally:?}");
+    // Next to a turn-around, where standing still is no fault yet.
+    assert!(stuck <= 300 && frozen <= 150, "{tally:?}");
     // The runs must have met what they are for.
     assert!(
         tally.resets > 1500 && tally.injected > 1500 && tally.faults > 1000,

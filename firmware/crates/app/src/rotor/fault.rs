@@ -15,12 +15,12 @@ pub enum RotorFault {
     EncoderInvalid,
     /// The encoder repeats itself while the rotor ought to turn. Or the rotor was stopped dead.
     EncoderFrozen,
-    /// The rotor is outside its travel.
+    /// The rotor is outside its travel. Clear it and home: the search leads back.
     Travel {
         /// Where it is.
         angle: f32,
     },
-    /// A set-point outside the travel was about to be followed.
+    /// A set-point that leads out of the travel was about to be followed.
     SetPoint {
         /// The set-point.
         angle: f32,

@@ -67,9 +67,16 @@
 //! Outputs are off in `Off` and `Fault`, and in the very tick a fault is found. The angle is followed in every state,
 //! so the turn survives `Off` as long as the encoder answers.
 //!
-//! # Cost
+//! After [`RotorFault::Travel`] the way back is `Clear`, `Home`: the search goes inwards, whatever the turn.
 //!
-//! See the test bench in `hal-sim/tests/rotor.rs` for the figures reached.
+//! # Figures and cost
+//!
+//! `hal-sim/tests/rotor.rs` holds the figures: over 20 units off by up to ±20 %, with a cogging of 2 % of the rated torque
+//! and 20 µrad of encoder noise at 1 kHz, the rate's ripple in the legs is 0.9 % RMS at worst in the third cycle and
+//! 0.7 % later (2.2 % in the first one, in which the table is learned), the angle within 0.1° of its set-point, a
+//! turn-around over in 0.24 s.
+//!
+//! A tick in a leg takes 930 instructions (thumbv7em, opt-level 3, counted by an emulator): less than 10 µs at 168 MHz.
 //!
 //! Not modelled: current limits other than by the voltage; field weakening; temperature of the winding; a supply that
 //! varies (its ratio is a gain of the loop).
@@ -534,7 +541,9 @@ impl Rotor {
             rate: rate_r,
             acceleration: acceleration_r,
         } = set_point;
-        if self.homed && self.outside(angle_r, Margin::Soft) {
+        // Zero lies inside the travel: away from it is outwards, and the way in is allowed.
+        let outwards = angle_r * rate_r > 0.0;
+        if self.homed && outwards && self.outside(angle_r, Margin::Soft) {
             return Err(RotorFault::SetPoint { angle: angle_r });
         }
         let m = &self.config.motor;

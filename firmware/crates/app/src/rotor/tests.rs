@@ -305,16 +305,37 @@ fn blocked_rotor() {
 
 #[test]
 fn outside_the_travel() {
-    for (angle, fault) in [(-6.5, true), (-5.5, false), (365.5, false), (366.5, true)] {
+    for angle in [-6.5, 366.5] {
         let angle = angle * DEG;
         let mut ideal = Ideal::homed(angle);
         ideal.rotor.command(Command::Run).unwrap();
-        let out = ideal.tick();
-        assert!(out.drive.is_none(), "{angle}");
-        match ideal.rotor.state() {
-            State::Fault(RotorFault::Travel { angle: found }) => assert!(fault && (found - angle).abs() < 1e-4),
-            State::Fault(RotorFault::SetPoint { angle: found }) => assert!(!fault && (found - angle).abs() < 1e-4),
-            other => panic!("{other:?}"),
+        assert!(matches!(ideal.fault(), RotorFault::Travel { angle: found } if (found - angle).abs() < 1e-4));
+        assert_eq!(ideal.ticks, 7, "at once");
+        // The search leads back.
+        ideal.rotor.command(Command::Clear).unwrap();
+        ideal.rotor.command(Command::Home).unwrap();
+        ideal.until_change();
+        assert_eq!(ideal.kind(), Kind::Off);
+        assert!((ideal.angle - 180.0 * DEG).abs() < DEG);
+    }
+    // Between the limits the way in is open, the way out is not.
+    for (angle, rate) in [(-5.5, 0.0), (365.5, 0.0), (-2.8, -20.0), (362.8, 20.0)] {
+        let mut ideal = Ideal::homed(angle * DEG);
+        for _ in 0..100 {
+            ideal.angle += rate * 1e-3 * DEG;
+            ideal.tick();
+        }
+        ideal.rotor.command(Command::Run).unwrap();
+        if rate == 0.0 {
+            for _ in 0..2000 {
+                ideal.tick();
+            }
+            assert!(
+                matches!(ideal.rotor.state(), State::Running(run) if run.on_schedule()),
+                "{angle}"
+            );
+        } else {
+            assert!(matches!(ideal.fault(), RotorFault::SetPoint { .. }), "{angle}");
         }
     }
 }
