@@ -87,13 +87,13 @@ fn outcome(result: &UnitResult) -> String {
     let after: Vec<&str> = result
         .modes
         .iter()
-        .filter(|at| at.t_s > found.t_s)
+        .filter(|at| at.t_s > found.t_s && at.mode != "fault")
         .map(|at| at.mode)
         .collect();
     if result.resets > 0 {
         format!("reset, then {}", result.state)
     } else if after.is_empty() {
-        "latched".to_owned()
+        "latched until reset by command".to_owned()
     } else {
         format!(
             "{} retries, then {}",

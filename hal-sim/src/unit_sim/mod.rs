@@ -684,7 +684,8 @@ fn decimate(imu: &Part<device::Adis16495>, dec_rate: u16) {
         [(at.address + 1) | adis16495::WRITE, high],
         [page, 0],
     ];
-    let mut now_us = now_ns() / 1000;
+    // After a burst that may be under way: 80 µs and the stall.
+    let mut now_us = now_ns() / 1000 + 150;
     imu.with(|model| {
         for frame in frames {
             model.transfer(now_us, &frame, &mut [0; 2]);

@@ -336,7 +336,9 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
             Ok(raw) => raw,
             Err(error) => {
                 shared.count(|counts| counts.transfers = counts.transfers.saturating_add(1));
-                Event::Transfer(error).emit();
+                if !self.raised {
+                    Event::Transfer(error).emit();
+                }
                 if let Some(fault) = self.monitor.failed(error) {
                     self.raise(fault);
                 }
@@ -358,7 +360,9 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
         }
         let lost = match arrival {
             Arrival::Repeated => {
-                Event::Repeated { tally }.emit();
+                if !self.raised {
+                    Event::Repeated { tally }.emit();
+                }
                 return;
             }
             Arrival::Lost(samples) => {

@@ -250,7 +250,8 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named() {
-        let table: [(fn(u16) -> [f32; 3], f32, fn(&Failure) -> bool); 4] = [
+        type Case = (fn(u16) -> [f32; 3], f32, fn(&Failure) -> bool);
+        let table: [Case; 4] = [
             (|k| [noise(k); 3], 9.0, |f| matches!(f, Failure::Gravity { .. })),
             (
                 |k| [noise(k) + 1e-3; 3],
