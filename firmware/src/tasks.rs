@@ -41,14 +41,7 @@ static ALIGNER: StaticCell<Aligner<f32, QUEUE>> = StaticCell::new();
 
 /// Starts every task. Panics where the parameters are refused: nothing has moved then.
 pub fn start(spawner: Spawner, mut board: Board) {
-    let Ok(rotor) = Rotor::new(params::rotor()) else {
-        defmt::panic!("params.rs: the rotor's figures are refused")
-    };
-    let Ok(aligner) = Aligner::new(params::aligner()) else {
-        defmt::panic!("params.rs: the aligner's figures are refused")
-    };
-    let rotor = ROTOR.init(rotor);
-    let aligner = ALIGNER.init(aligner);
+    let (rotor, aligner) = (rotor(), aligner());
     let encoder = MagneticEncoder {
         driver: Mt6835::new(board.encoder),
         config: params::ENCODER,
@@ -75,6 +68,22 @@ pub fn start(spawner: Spawner, mut board: Board) {
     spawner.spawn(alignment);
     spawner.spawn(supervisor);
     spawner.spawn(report);
+}
+
+fn rotor() -> &'static mut Rotor {
+    ROTOR.init_with(|| match Rotor::new(params::rotor()) {
+        Ok(rotor) => rotor,
+        Err(_) => defmt::panic!("params.rs: the rotor's figures are refused"),
+    })
+}
+
+// Alone, because it needs up to twice the aligner's 34 kB of stack where the compiler does not build it in place.
+#[inline(never)]
+fn aligner() -> &'static mut Aligner<f32, QUEUE> {
+    ALIGNER.init_with(|| match Aligner::new(params::aligner()) {
+        Ok(aligner) => aligner,
+        Err(_) => defmt::panic!("params.rs: the aligner's figures are refused"),
+    })
 }
 
 #[embassy_executor::task]
