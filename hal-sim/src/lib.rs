@@ -11,6 +11,7 @@
 
 pub mod align;
 pub mod bus;
+pub mod config;
 pub mod device;
 pub mod log;
 pub mod monte_carlo;

@@ -5,18 +5,14 @@
 //!
 //! The files built in are in `hal-sim/scenarios/`. They are the documentation by example.
 
-pub(crate) mod table;
-
 use std::path::Path;
 
 use frames::units::DEG;
 use nav::rotor::{RotorConfig, Schedule};
 use serde::{Deserialize, Serialize};
 
-pub use table::{Angle, ConfigError, ConfigProblem, Table, Violation};
-
+use crate::config::{self, Angle, ConfigError, ConfigProblem, Table, Violation, table};
 use crate::unit::Unit;
-use table::table;
 
 table! {
     /// `[place]`: where the unit stands.
@@ -392,7 +388,7 @@ impl Scenario {
     /// # Errors
     /// [`ConfigError`]: one line with file, line and key.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let scenario = Self::parse(&table::read(path)?, &path.display().to_string())?;
+        let scenario = Self::parse(&config::read(path)?, &path.display().to_string())?;
         Ok(Self {
             name: path
                 .file_stem()
@@ -407,7 +403,7 @@ impl Scenario {
     /// # Errors
     /// [`ConfigError`]: one line with file, line and key.
     pub fn parse(text: &str, file_name: &str) -> Result<Self, ConfigError> {
-        let scenario = table::parse(text, file_name, Self::validate)?;
+        let scenario = config::parse(text, file_name, Self::validate)?;
         Ok(Self {
             name: file_name.to_owned(),
             ..scenario
@@ -420,7 +416,7 @@ impl Scenario {
     /// # Errors
     /// The first [`Violation`].
     pub fn validate(&self) -> Result<(), Violation> {
-        use table::Ranged;
+        use config::Ranged;
         let violation = |key: &str, problem: String| {
             Err(Violation {
                 key: key.to_owned(),
@@ -449,7 +445,7 @@ impl Scenario {
             match axis.centre_deg {
                 Angle::Random => {
                     return violation(
-                        &table::join(key, "centre_deg"),
+                        &config::join(key, "centre_deg"),
                         "only the heading's centre may be random".to_owned(),
                     );
                 }

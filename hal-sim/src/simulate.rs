@@ -8,7 +8,8 @@ use nav::increment::{Compensator, Decimator, Sample};
 use serde::Serialize;
 
 use crate::align::{self, Angles, Method, Reading, Setup};
-use crate::scenario::{Scenario, Violation};
+use crate::config::Violation;
+use crate::scenario::Scenario;
 use crate::sensors::{Encoder, Imu};
 use crate::truth::Truth;
 

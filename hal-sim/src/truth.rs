@@ -25,7 +25,8 @@ use nav::earth::Earth;
 use nav::rotor::{RotorState, Schedule};
 use rand::RngExt;
 
-use crate::scenario::{Angle, Axis, Scenario, SwayAxis, Violation};
+use crate::config::{Angle, Violation};
+use crate::scenario::{Axis, Scenario, SwayAxis};
 use crate::sensors::{Stream, stream};
 
 /// Longest step of the integration, s.

@@ -5,8 +5,7 @@
 
 use std::path::Path;
 
-use crate::scenario::table::{self, table};
-use crate::scenario::{ConfigError, Table};
+use crate::config::{self, ConfigError, Table, table};
 
 table! {
     /// Noise and bias figures of an IMU, every axis alike.
@@ -41,7 +40,7 @@ impl Unit {
     /// # Errors
     /// [`ConfigError`]: one line with file, line and key.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        Self::parse(&table::read(path)?, &path.display().to_string())
+        Self::parse(&config::read(path)?, &path.display().to_string())
     }
 
     /// The same from text; `file_name` is for the error message only.
@@ -49,7 +48,7 @@ impl Unit {
     /// # Errors
     /// [`ConfigError`]: one line with file, line and key.
     pub fn parse(text: &str, file_name: &str) -> Result<Self, ConfigError> {
-        table::parse(text, file_name, |unit: &Self| unit.check(""))
+        config::parse(text, file_name, |unit: &Self| unit.check(""))
     }
 
     /// A unit without any error.

@@ -8,7 +8,8 @@
 use frames::Real;
 use frames::units::DEG;
 use hal_sim::align::{self, Angles, Method, Reading, Setup};
-use hal_sim::scenario::{Angle, Scenario};
+use hal_sim::config::Angle;
+use hal_sim::scenario::Scenario;
 use hal_sim::simulate::{self, Row, Simulation};
 use nav::aligner::{Aligner, Event, Mode, NotReady, Restart};
 use nav::increment::Sample;

@@ -50,9 +50,10 @@ use vtime::{Executor, Failure, Level, LocalRawMutex, TaskId, now_ns, sleep_until
 
 use crate::align::{self, Angles, Method, Reading, Setup};
 use crate::bus::{DataReady, Input, Line as Wire, Part, PwmSink, SpiFaults, SpiPort, SpiTiming, pwm};
+use crate::config::Violation;
 use crate::device::{self, Motion};
 use crate::plant::{Cable, Plant, PlantConfig};
-use crate::scenario::{FaultAt, FaultKind, Scenario, Violation};
+use crate::scenario::{FaultAt, FaultKind, Scenario};
 use crate::sensors::{Imu, Measured, Stream, stream};
 use crate::truth::Truth;
 

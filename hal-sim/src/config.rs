@@ -230,12 +230,12 @@ macro_rules! table {
             }
         }
 
-        impl $crate::scenario::Table for $name {
-            fn check(&self, path: &str) -> Result<(), $crate::scenario::Violation> {
+        impl $crate::config::Table for $name {
+            fn check(&self, path: &str) -> Result<(), $crate::config::Violation> {
                 $(
-                    if let Some(value) = $crate::scenario::table::Ranged::outside(&self.$number, $low, $high) {
-                        return Err($crate::scenario::Violation {
-                            key: $crate::scenario::table::join(path, stringify!($number)),
+                    if let Some(value) = $crate::config::Ranged::outside(&self.$number, $low, $high) {
+                        return Err($crate::config::Violation {
+                            key: $crate::config::join(path, stringify!($number)),
                             problem: format!(
                                 "{value} is out of range, allowed are {} to {}",
                                 stringify!($low).trim_end_matches(".0"),
@@ -244,7 +244,7 @@ macro_rules! table {
                         });
                     }
                 )*
-                $( self.$table.check(&$crate::scenario::table::join(path, stringify!($table)))?; )*
+                $( self.$table.check(&$crate::config::join(path, stringify!($table)))?; )*
                 Ok(())
             }
         }
