@@ -26,9 +26,10 @@ use core::cell::{Cell, RefCell};
 use std::rc::Rc;
 
 use app::alignment::{self, AlignmentConfig};
+use app::command::ModeName;
 use app::fault::{Fault, Task};
 use app::hal::{ChangeOver, Edge, EdgeCapture, MagneticEncoder, ResetCause};
-use app::mode::{ModeName, Status};
+use app::mode::Status;
 use app::motor::{self, Drive, HARMONICS};
 use app::rotor::{self, HomeSwitch, Homing, Rotor};
 use app::sampling::{self, SamplingConfig};

@@ -10,9 +10,9 @@ use nav::aligner::{self, Aligner};
 
 use crate::fault::Task;
 use crate::log::Alignment;
-use crate::mode::Input;
+use crate::mode::{Input, Job};
 use crate::selftest::{Inspection, InspectionConfig};
-use crate::shared::{Job, Navigation, Shared, TimedSample};
+use crate::shared::{Navigation, Shared, TimedSample};
 
 /// The task checks in at least this often when no samples come.
 const IDLE: Duration = Duration::from_millis(10);

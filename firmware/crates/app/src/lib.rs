@@ -11,6 +11,7 @@
 //! | [`motor`] | encoder → [`rotor`] control → bridge, 1 kHz |
 //! | [`alignment`] | samples → estimates |
 //! | [`supervisor`] | modes, faults, check-ins, watchdog |
+//! | [`command`] | what the unit is told, and its modes' names |
 //! | [`mode`] | the modes' step function, pure |
 //! | [`fault`] | faults and the rule for each |
 //! | [`selftest`] | what must hold before anything turns |
@@ -31,6 +32,7 @@
 extern crate std;
 
 pub mod alignment;
+pub mod command;
 pub mod fault;
 pub mod hal;
 pub mod log;

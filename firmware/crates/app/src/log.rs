@@ -10,8 +10,8 @@ use drivers::{Error, Identity};
 use frames::units::DEG;
 use nav::aligner;
 
+use crate::command::{Command, ModeName};
 use crate::fault::Fault;
-use crate::mode::{Command, ModeName};
 use crate::selftest::Found;
 
 /// One line of the given level; with neither feature its arguments are only looked at.

@@ -13,15 +13,13 @@
 //!
 //! `Calibrating` is a place for the calibration of the IMU: the rotor stands, samples flow, nobody aligns.
 
-use core::fmt;
-
 use drivers::{Error, Identity};
 
+use crate::command::{Command, ModeName};
 use crate::fault::{Fault, Response};
 use crate::log::{Alignment, Event};
 use crate::rotor;
 use crate::selftest::{Failure, Found};
-use crate::shared::Job;
 
 /// Longest self-test, µs: an IMU's reset, self-test and settings take 0.6 s, the inspection 1 s.
 pub const SELF_TEST_US: u64 = 10_000_000;
@@ -30,18 +28,16 @@ pub const HOMING_US: u64 = 60_000_000;
 /// Aligned for so long, earlier faults are forgiven, µs.
 pub const FORGIVEN_US: u64 = 60_000_000;
 
-/// What the unit is told to do.
+/// What the alignment task is to do with the samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Command {
-    /// Stop the rotor and rest.
-    Stop,
-    /// Align from the beginning.
+pub enum Job {
+    /// Drop them.
+    Idle,
+    /// Judge the first ones: gravity, rates.
+    Inspect,
+    /// Align, from the beginning.
     Align,
-    /// Calibrate the IMU: from rest only.
-    Calibrate,
-    /// Forget the fault and start again.
-    ResetFault,
 }
 
 /// Something that happened.
@@ -158,43 +154,6 @@ pub enum Mode {
     Aligned,
     /// Motor off.
     Fault(Faulted),
-}
-
-/// Names of the modes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[allow(missing_docs, reason = "as in Mode")]
-pub enum ModeName {
-    Idle,
-    SelfTest,
-    Homing,
-    Calibrating,
-    Coarse,
-    Fine,
-    Aligned,
-    Fault,
-}
-
-impl ModeName {
-    /// For people.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Idle => "idle",
-            Self::SelfTest => "self-test",
-            Self::Homing => "homing",
-            Self::Calibrating => "calibrating",
-            Self::Coarse => "coarse",
-            Self::Fine => "fine",
-            Self::Aligned => "aligned",
-            Self::Fault => "fault",
-        }
-    }
-}
-
-impl fmt::Display for ModeName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
-    }
 }
 
 impl Mode {

@@ -26,8 +26,9 @@ use embassy_time::Instant;
 use nav::aligner;
 use nav::increment::Sample;
 
+use crate::command::Command;
 use crate::fault::{Fault, Task};
-use crate::mode::{Command, Input, Status};
+use crate::mode::{Input, Job, Status};
 use crate::rotor;
 
 /// Samples that wait for the alignment: 158 ms at 202.4 a second, ten times its longest step.
@@ -85,18 +86,6 @@ pub struct Navigation {
     pub estimate: Option<aligner::Estimate>,
     /// Why it is not to be relied on, if it is not.
     pub not_ready: Option<aligner::NotReady>,
-}
-
-/// What the alignment task is to do with the samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Job {
-    /// Drop them.
-    Idle,
-    /// Judge the first ones: gravity, rates.
-    Inspect,
-    /// Align, from the beginning.
-    Align,
 }
 
 /// The rotor's angle at one instant.

@@ -126,6 +126,22 @@ pub fn hypot<T: Real>(x: T, y: T) -> T {
     sqrt(x * x + y * y)
 }
 
+/// `x` brought into [low, high]; `low` where `x` is not a number.
+///
+/// The `clamp` of the standard library panics when `low` exceeds `high`, and its message brings the whole
+/// printing of floats into an image (24 kB).
+#[inline]
+pub fn limit<T: Real>(x: T, low: T, high: T) -> T {
+    // Comparisons, not `max` and `min`: a NaN falls through to `low`.
+    if x >= high {
+        high
+    } else if x >= low {
+        x
+    } else {
+        low
+    }
+}
+
 /// The angle brought into [−π, π].
 #[inline]
 pub fn wrap_pi<T: Real>(angle: T) -> T {
@@ -212,6 +228,17 @@ mod tests {
             })
             .fold(0.0, f64::max);
         assert!(worst < 3e-7, "{worst:e}");
+    }
+
+    #[test]
+    fn limits() {
+        assert_eq!(
+            [limit(-2.0, -1.0, 1.0), limit(0.5, -1.0, 1.0), limit(2.0, -1.0, 1.0_f32)],
+            [-1.0, 0.5, 1.0]
+        );
+        assert_eq!(limit(f32::NAN, -1.0, 1.0), -1.0);
+        // Crossed limits are a mistake of the caller's, but no reason to stop a motor loop.
+        assert_eq!(limit(0.0, 1.0, -1.0), -1.0_f32);
     }
 
     #[test]

@@ -508,7 +508,7 @@ impl Rotor {
                 Motion::Halt(ramp) => ramp.angle,
                 _ => self.last_set_point().angle,
             };
-            let inside = here.clamp(0.0, travel);
+            let inside = math::limit(here, 0.0, travel);
             run.motion = match (run.goal, run.motion) {
                 (Goal::Angle(target), Motion::Halt(_)) => Motion::Move(Move::new(here, target, rate, acceleration)),
                 (Goal::Schedule, Motion::Halt(_)) if here != inside => {
@@ -579,7 +579,7 @@ impl Rotor {
         let per_torque = m.resistance / m.torque_constant;
         let back_emf = m.torque_constant / 1.5 * rate_r;
         let wanted = torque * per_torque + back_emf;
-        let voltage = wanted.clamp(-m.voltage_limit, m.voltage_limit);
+        let voltage = math::limit(wanted, -m.voltage_limit, m.voltage_limit);
         self.push = ((voltage - back_emf) / per_torque - known) / m.inertia;
 
         if wanted != voltage && rate.abs() < 0.1 * self.config.schedule.rate {
@@ -595,7 +595,7 @@ impl Rotor {
         if leg && self.leg_us > SETTLE_US && wanted == voltage {
             let missing = m.inertia * feedback;
             // A cell is met for (2π/cells)/(ω dt) ticks in a pass.
-            let gain = c.learning * FAST_LEGS / f32::from(self.legs).clamp(FAST_LEGS, 10.0 * FAST_LEGS);
+            let gain = c.learning * FAST_LEGS / math::limit(f32::from(self.legs), FAST_LEGS, 10.0 * FAST_LEGS);
             let share = gain * rate_r.abs() * dt * (CELLS as f32 / TAU);
             self.ripple.learn(self.shaft.shaft(), share * missing, gain);
             let way = 1.0_f32.copysign(rate_r);

@@ -19,7 +19,7 @@ pub(super) struct Ramp {
 impl Ramp {
     /// The set-point of this tick; moves on by `dt` towards `rate`.
     pub(super) fn step(&mut self, rate: f32, acceleration: f32, dt: f32) -> RotorState {
-        let change = (rate - self.rate).clamp(-acceleration * dt, acceleration * dt);
+        let change = math::limit(rate - self.rate, -acceleration * dt, acceleration * dt);
         let now = RotorState {
             angle: self.angle,
             rate: self.rate,

@@ -77,13 +77,13 @@ impl Ripple {
     pub fn restore(&mut self, cells: &[f32; CELLS], coulomb: f32) {
         for (cell, stored) in self.cells.iter_mut().zip(cells) {
             *cell = if stored.is_finite() {
-                stored.clamp(-self.limit, self.limit)
+                math::limit(*stored, -self.limit, self.limit)
             } else {
                 0.0
             };
         }
         if coulomb.is_finite() {
-            self.coulomb = coulomb.clamp(0.0, self.limit);
+            self.coulomb = math::limit(coulomb, 0.0, self.limit);
         }
     }
 
@@ -95,7 +95,7 @@ impl Ripple {
 
     /// Friction at this rate, without the viscous part, Nm.
     pub(super) fn friction(&self, rate: f32) -> f32 {
-        self.coulomb * (rate * (1.0 / FRICTION_RATE)).clamp(-1.0, 1.0)
+        self.coulomb * math::limit(rate * (1.0 / FRICTION_RATE), -1.0, 1.0)
     }
 
     /// Adds `torque` about this angle of the shaft; `gain` is the share of a pass it is part of.
@@ -108,13 +108,13 @@ impl Ripple {
             self.last = i;
         }
         for (cell, weight) in [(i, 1.0 - share), (j, share)] {
-            self.cells[cell] = (self.cells[cell] + weight * torque).clamp(-self.limit, self.limit);
+            self.cells[cell] = math::limit(self.cells[cell] + weight * torque, -self.limit, self.limit);
         }
     }
 
     /// Adds `torque` to the friction.
     pub(super) fn learn_friction(&mut self, torque: f32) {
-        self.coulomb = (self.coulomb + torque).clamp(0.0, self.limit);
+        self.coulomb = math::limit(self.coulomb + torque, 0.0, self.limit);
     }
 }
 
