@@ -215,7 +215,7 @@ fn figures_after_half_an_hour() {
     bench.cycles(48);
     let figures = bench.cycles(2);
     println!("after 50 cycles: {figures}");
-    assert!(figures.ripple < 0.008 && figures.tracking < 0.05, "{figures}");
+    assert!(figures.ripple < 0.0075 && figures.tracking < 0.05, "{figures}");
 }
 
 /// The learning is needed: without it no gains in reach meet the figure, and the test bench sees that.
@@ -270,13 +270,17 @@ fn other_rates_and_ticks() {
 
 #[test]
 fn calibration_finds_the_offset() {
-    let worst = (0..200_u64)
+    let worst = (0..400_u64)
         .into_par_iter()
         .map(|seed| {
-            let plant = PlantConfig::default().varied(seed, SPREAD);
+            let mut plant = PlantConfig::default().varied(seed, SPREAD);
+            if let (Some(cable), 1) = (&mut plant.cable, seed % 2) {
+                // At the ends the cable overcomes the friction: the rotor slides, and all the more when it trembles.
+                cable.stiffness = 1.1 * plant.coulomb / PI;
+            }
             let expected = plant.electrical_offset;
             // From −6°, where the hard limit has switched off, to 366°.
-            let start = (-6.0 + 372.0 * seed as f64 / 199.0) * DEG;
+            let start = (-6.0 + 372.0 * (seed % 200) as f64 / 199.0) * DEG;
             let mut bench = Bench::new(plant, Config::default(), start, seed);
             bench.rotor.command(Command::Calibrate).unwrap();
             let outwards = if start < PI { -1.0 } else { 1.0 };
@@ -294,8 +298,8 @@ fn calibration_finds_the_offset() {
         "electrical offset to {:.1}°, strayed outwards by {:.1}°",
         worst.0, worst.1
     );
-    // 5° cost 0.4 % of torque. The slack bounds the straying.
-    assert!(worst.0 < 5.0 && worst.1 < 5.0);
+    // 6° cost 0.5 % of torque. The slack bounds the straying.
+    assert!(worst.0 < 6.0 && worst.1 < 5.0);
 }
 
 #[test]

@@ -13,13 +13,15 @@
 //! `sin(ψ − λ)`, λ between 90° (friction) and 180° (inertia); the error of taking it for 135° has opposite signs in the
 //! two directions of turning and drops out of their mean.
 //!
-//! Trembling, the rotor gives way to a cable's pull: twice the slack is granted towards the middle of the travel.
+//! Trembling, the rotor gives way to a cable's pull, and a rotor that slides may deceive the probe. Where it has strayed
+//! by the slack towards the middle of the travel, all begins anew; outwards it is a fault.
 //!
 //! The offset is the mean of field angle − N · reading over the sweep: friction holds the rotor back by the same angle
 //! in both directions, and cogging is over in a cycle. The sweep goes away from the nearer end of the travel and comes
 //! back. It shows the direction, the pole pairs, and that the rotor is free.
 
 use core::f32::consts::{FRAC_PI_4, PI, TAU};
+use core::ops::ControlFlow;
 
 use frames::math;
 use nav::rotor::{RotorConfig, Schedule};
@@ -41,8 +43,8 @@ const PROBE_US: u32 = 25_000;
 const TREMBLE: f32 = 5e-4;
 /// Cycles averaged in each direction, after one that is not.
 const PROBE_CYCLES: u8 = 3;
-/// Share of the trembling that must be in step with the field.
-const STEADY: f32 = 0.9;
+/// How often it begins anew.
+const TRIES: u8 = 8;
 /// Steps of the probe's voltage up to that of the calibration, one a cycle.
 const PROBE_STEPS: f32 = 40.0;
 /// λ, rad.
@@ -89,8 +91,6 @@ struct Probe {
     part: [f32; 2],
     /// Of the cycles so far.
     sum: [f32; 2],
-    /// Sum of their amplitudes.
-    size: f32,
     /// What the forward direction said, a unit vector of the electrical angle; `None` while it is under way.
     forward: Option<[f32; 2]>,
 }
@@ -122,6 +122,8 @@ pub struct Calibration {
     phase: Phase,
     /// Which way the sweep goes.
     way: f32,
+    /// Times it has begun anew.
+    tries: u8,
 }
 
 /// What a calibration wants of this tick.
@@ -140,7 +142,18 @@ impl Calibration {
         Self {
             phase: Phase::Rest(Rest::default()),
             way,
+            tries: 0,
         }
+    }
+
+    /// Begins anew where the rotor has strayed to, if that is away from the nearer end and was not too often.
+    fn again(&mut self, moved: f32, fault: RotorFault) -> Result<Field, RotorFault> {
+        if moved * self.way <= 0.0 || self.tries >= TRIES {
+            return Err(fault);
+        }
+        self.tries += 1;
+        self.phase = Phase::Rest(Rest::default());
+        Ok(Field::Off)
     }
 
     pub(super) fn step(&mut self, shaft: &Shaft, config: &Config) -> Result<Field, RotorFault> {
@@ -153,9 +166,13 @@ impl Calibration {
                 }
                 Ok(Field::Off)
             }
-            Phase::Probe(probe) => match probe.step(shaft.angle, self.way, config)? {
-                Ok(field) => Ok(field),
-                Err(angle) => {
+            Phase::Probe(probe) if (shaft.angle - probe.origin).abs() > c.slack => {
+                let moved = shaft.angle - probe.origin;
+                self.again(moved, RotorFault::Following { error: -moved })
+            }
+            Phase::Probe(probe) => match probe.step(shaft.angle, config)? {
+                ControlFlow::Continue(field) => Ok(field),
+                ControlFlow::Break(angle) => {
                     self.phase = Phase::Align {
                         field: angle,
                         origin: shaft.angle,
@@ -175,7 +192,7 @@ impl Calibration {
                 // The probe cannot be that wrong, unless what it took for forwards was backwards: then the rotor is
                 // at the field's unstable angle and leaves it at a run.
                 if moved.abs() > c.slack || shaft.rate.abs() > config.limits.overspeed {
-                    return Err(RotorFault::WrongDirection { moved });
+                    return self.again(moved, RotorFault::WrongDirection { moved });
                 }
                 *t_us += config.dt_us;
                 let grown = (seconds(*t_us) / seconds(ALIGN_US)).min(1.0);
@@ -278,20 +295,14 @@ impl Probe {
             first: angle,
             part: [0.0; 2],
             sum: [0.0; 2],
-            size: 0.0,
             forward: None,
         }
     }
 
-    /// The field of this tick, or `Err` with the electrical angle once it is known.
-    fn step(&mut self, angle: f32, way: f32, config: &Config) -> Result<Result<Field, f32>, RotorFault> {
+    /// The field of this tick; breaks with the rotor's electrical angle once it is known.
+    fn step(&mut self, angle: f32, config: &Config) -> Result<ControlFlow<f32, Field>, RotorFault> {
         let samples = (PROBE_US / config.dt_us).max(8) as u16;
         let voltage = config.calibration.voltage;
-        let error = self.origin - angle;
-        let slack = config.calibration.slack;
-        if error.abs() > if error * way < 0.0 { 2.0 * slack } else { slack } {
-            return Err(RotorFault::Following { error });
-        }
         if self.sample == samples {
             let drift = angle - self.first;
             // Fourier parts; a steady drift over the cycle has the sine part −drift/π.
@@ -299,11 +310,10 @@ impl Probe {
             let [sin, cos] = [self.part[0] * scale + drift / PI, self.part[1] * scale];
             if math::hypot(sin, cos) < TREMBLE {
                 self.volts += voltage / PROBE_STEPS;
-                (self.cycle, self.sum, self.size) = (0, [0.0; 2], 0.0);
+                (self.cycle, self.sum) = (0, [0.0; 2]);
             } else {
                 if self.cycle > 0 {
                     self.sum = [self.sum[0] + sin, self.sum[1] + cos];
-                    self.size += math::hypot(sin, cos);
                 }
                 self.cycle += 1;
             }
@@ -314,29 +324,15 @@ impl Probe {
                     None => math::atan2(-cos, sin) - PROBE_LAG,
                     Some(_) => math::atan2(cos, sin) - PI + PROBE_LAG,
                 };
-                let steady = math::hypot(sin, cos) > STEADY * self.size;
                 let (sin, cos) = math::sin_cos(found);
-                let step = voltage / PROBE_STEPS;
-                let next = match self.forward {
-                    // Something else moves the rotor: drown it.
-                    _ if !steady => Self {
-                        origin: self.origin,
-                        forward: self.forward,
-                        ..Self::new(angle, self.volts + step)
-                    },
-                    None => Self {
-                        origin: self.origin,
-                        forward: Some([cos, sin]),
-                        ..Self::new(angle, step)
-                    },
-                    // λ is between 90° and 180°, so the two are at most 90° apart.
-                    Some([x, y]) if x * cos + y * sin < 0.0 => Self {
-                        origin: self.origin,
-                        ..Self::new(angle, self.volts + step)
-                    },
-                    Some([x, y]) => return Ok(Err(math::atan2(y + sin, x + cos))),
+                if let Some([x, y]) = self.forward {
+                    return Ok(ControlFlow::Break(math::atan2(y + sin, x + cos)));
+                }
+                *self = Self {
+                    origin: self.origin,
+                    forward: Some([cos, sin]),
+                    ..Self::new(angle, voltage / PROBE_STEPS)
                 };
-                *self = next;
             }
             if self.volts > voltage {
                 return Err(RotorFault::NoMovement {
@@ -352,7 +348,7 @@ impl Probe {
         let off = angle - self.first;
         self.part = [self.part[0] + off * sin, self.part[1] + off * cos];
         self.sample += 1;
-        Ok(Ok(Field::On {
+        Ok(ControlFlow::Continue(Field::On {
             volts: self.volts,
             angle: if self.forward.is_some() { -phase } else { phase },
         }))

@@ -384,7 +384,7 @@ impl Config {
         if let Homing::HomeSwitch(h) = self.homing {
             let all = [h.edge, h.tolerance, h.rate, h.hard];
             let (below, above) = (h.edge + h.hard, travel - h.edge + h.hard);
-            let room = cycle + 2.0 * k.slack;
+            let room = cycle + k.slack;
             if !(all.into_iter().all(positive) && not_negative(h.soft))
                 || h.soft >= h.hard
                 || h.tolerance >= 0.25 * TAU

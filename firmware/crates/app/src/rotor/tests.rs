@@ -532,3 +532,22 @@ fn calibration_without_motion() {
         State::Fault(RotorFault::Unsettled { .. })
     ));
 }
+
+/// With nothing left to the feedback the voltage is the model's.
+#[test]
+fn feeds_the_model_forward() {
+    let mut ideal = Ideal::homed(1.0);
+    ideal.rotor.command(Command::Run).unwrap();
+    // 60 ms into the ramp. Later the integrator notices that this rotor does not heed it.
+    let out = (0..60).map(|_| ideal.tick()).last().unwrap();
+    let s = out.set_point.unwrap();
+    let m = ideal.rotor.config().motor;
+    let torque = m.inertia * s.acceleration + m.coulomb + m.viscous * s.rate;
+    let expected = torque * m.resistance / m.torque_constant + m.torque_constant / 1.5 * s.rate;
+    // The acceleration is a fifth of it, the back-EMF a tenth, the friction the rest.
+    assert!(
+        (out.voltage / expected - 1.0).abs() < 0.02,
+        "{} {expected}",
+        out.voltage
+    );
+}
