@@ -313,6 +313,29 @@ fn exit(state: &str) -> ExitCode {
 /// One of three angles.
 type AngleOf = fn(&Angles) -> f64;
 
+/// Truth, estimate, error and σ of the three angles.
+fn attitude_table(truth: &Angles, estimate: &Angles, error: &Angles, sd: &Angles) -> String {
+    let mut text = format!(
+        "{:<16}{:>12}{:>12}{:>12}{:>12}\n",
+        "", "truth", "estimate", "error", "sd"
+    );
+    let angles: [(&str, AngleOf); 3] = [
+        ("heading (°)", |a| a.heading_deg),
+        ("pitch (°)", |a| a.pitch_deg),
+        ("roll (°)", |a| a.roll_deg),
+    ];
+    for (name, of) in angles {
+        text += &format!(
+            "{name:<16}{:>12.4}{:>12.4}{:>+12.4}{:>12.4}\n",
+            of(truth),
+            of(estimate),
+            of(error),
+            of(sd)
+        );
+    }
+    text
+}
+
 /// The closing table of a run.
 fn run_table(result: &RunResult) -> String {
     let mut text = match (result.aligned_at_s, &result.reason) {
@@ -336,24 +359,7 @@ fn run_table(result: &RunResult) -> String {
     let Moment {
         reading, truth, error, ..
     } = last;
-    text += &format!(
-        "{:<16}{:>12}{:>12}{:>12}{:>12}\n",
-        "", "truth", "estimate", "error", "sd"
-    );
-    let angles: [(&str, AngleOf); 3] = [
-        ("heading (°)", |a| a.heading_deg),
-        ("pitch (°)", |a| a.pitch_deg),
-        ("roll (°)", |a| a.roll_deg),
-    ];
-    for (name, of) in angles {
-        text += &format!(
-            "{name:<16}{:>12.4}{:>12.4}{:>+12.4}{:>12.4}\n",
-            of(truth),
-            of(&reading.attitude),
-            of(error),
-            of(&reading.sd)
-        );
-    }
+    text += &attitude_table(truth, &reading.attitude, error, &reading.sd);
     let biases = [
         (
             "gyro",
@@ -669,24 +675,7 @@ fn unit_table(result: &UnitResult) -> String {
         );
     }
     let Some(last) = &result.last else { return text };
-    text += &format!(
-        "{:<16}{:>12}{:>12}{:>12}{:>12}\n",
-        "", "truth", "estimate", "error", "sd"
-    );
-    let angles: [(&str, AngleOf); 3] = [
-        ("heading (°)", |a| a.heading_deg),
-        ("pitch (°)", |a| a.pitch_deg),
-        ("roll (°)", |a| a.roll_deg),
-    ];
-    for (name, of) in angles {
-        text += &format!(
-            "{name:<16}{:>12.4}{:>12.4}{:>+12.4}{:>12.4}\n",
-            of(&last.truth),
-            of(&last.reading.attitude),
-            of(&last.error),
-            of(&last.reading.sd)
-        );
-    }
+    text += &attitude_table(&last.truth, &last.reading.attitude, &last.error, &last.reading.sd);
     text
 }
 
