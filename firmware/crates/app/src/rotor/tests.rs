@@ -352,6 +352,27 @@ fn too_fast() {
 }
 
 #[test]
+fn a_switch_may_bounce() {
+    let mut ideal = Ideal::running(1.0);
+    for edge in [None, Some(0.0)] {
+        for (ticks, fault) in [(2, false), (3, true)] {
+            let mut ideal = Ideal {
+                rotor: ideal.rotor.clone(),
+                ..ideal
+            };
+            ideal.edge = edge;
+            for _ in 0..ticks {
+                ideal.tick();
+            }
+            assert_eq!(ideal.kind() == Kind::Fault, fault, "{edge:?} {ticks}");
+        }
+    }
+    assert!(ideal.tick().drive.is_some());
+    // As the documentation says.
+    assert!((4200..4800).contains(&size_of::<Rotor>()), "{}", size_of::<Rotor>());
+}
+
+#[test]
 fn switch_against_angle() {
     // Broken wire.
     let mut ideal = Ideal::running(1.0);
