@@ -271,6 +271,20 @@ fn a_second_solution_is_seen() {
     );
 }
 
+/// Sample rates that do and do not divide into the filter's 20 Hz.
+#[test]
+fn any_sample_rate() {
+    for rate_hz in [10.0, 30.0, 50.0, 75.0, 200.0, 202.4, 1000.0] {
+        let mut scenario = paper_sim();
+        scenario.run.rate_hz = rate_hz;
+        let result = simulate::run::<f32>(&scenario, 21, Method::Kf, &mut ()).unwrap();
+        assert_eq!(result.state, "aligned", "{rate_hz} Hz: {:?}", result.reason);
+        let last = result.last.unwrap();
+        assert!(last.error.heading_deg.abs() < 4.0 * last.reading.sd.heading_deg, "{rate_hz} Hz: {last:?}");
+        assert!((last.reading.sd.heading_deg - 0.353).abs() < 0.01, "{rate_hz} Hz: {last:?}");
+    }
+}
+
 #[test]
 fn poles_are_refused() {
     let mut setup = Setup::of(&paper_sim(), Method::Kf);

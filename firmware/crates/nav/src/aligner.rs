@@ -54,7 +54,7 @@ const SETTLED: f64 = 1.0 * units::DEG;
 /// | `height` | m | sea level | yours, to 100 m |
 /// | `settle` | s | the first sample counts | 0.2 s |
 /// | `t_k1`, `t_k2` | s | refused | one and three legs of the rotor |
-/// | `decimate_to` | s | every sample is an increment | 50 ms |
+/// | `decimate_to` | s | refused: the queue could not tell what it must hold | 50 ms |
 /// | `longest_gap` | s | no gap is bridged | 0.5 s |
 /// | `ready_heading_sd` | rad | never ready | 1° |
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -117,7 +117,7 @@ pub enum AlignerError {
     Earth(EarthError),
     /// A figure of the filter is out of range.
     Filter(FilterConfigError),
-    /// A time is negative or not finite, or t_k1 and t_k2 are not in order.
+    /// A time is negative or not finite, `decimate_to` is zero, or t_k1 and t_k2 are not in order.
     Times,
     /// The queue cannot hold t_k2: raise `decimate_to` or the capacity.
     Queue {
@@ -133,7 +133,9 @@ impl core::fmt::Display for AlignerError {
         match self {
             Self::Earth(e) => e.fmt(f),
             Self::Filter(e) => e.fmt(f),
-            Self::Times => f.write_str("aligner times must be finite and not negative, with 0 < t_k1 < t_k2"),
+            Self::Times => {
+                f.write_str("aligner times must be finite and not negative, with 0 < t_k1 < t_k2 and decimate_to > 0")
+            }
             Self::Queue { needed, capacity } => {
                 write!(
                     f,
@@ -382,26 +384,24 @@ impl<T: Real, const N: usize> Aligner<T, N> {
         } = config;
         let sane = |x: T| x.finite() && x >= zero;
         let times = [settle, t_k1, t_k2, decimate_to, longest_gap, ready_heading_sd];
-        if !(times.into_iter().all(sane) && t_k1 > zero && t_k2 > t_k1) {
+        if !(times.into_iter().all(sane) && t_k1 > zero && t_k2 > t_k1 && decimate_to > zero) {
             return Err(AlignerError::Times);
         }
-        if decimate_to > zero {
-            // One for the increment that is over t_k2, one for rounding. What comes in during a replay is
-            // looked after there.
-            let needed = t_k2 / decimate_to + T::lit(2.0);
-            if needed > T::lit(N as f64) {
-                #[expect(
-                    clippy::cast_possible_truncation,
-                    clippy::cast_sign_loss,
-                    reason = "only for the message"
-                )]
-                let needed = needed.to_f64() as u32;
-                #[expect(clippy::cast_possible_truncation, reason = "a queue of 2^32 increments is 100 GB")]
-                return Err(AlignerError::Queue {
-                    needed,
-                    capacity: N as u32,
-                });
-            }
+        // One for the increment that is over t_k2, one for rounding. What comes in during a replay is
+        // looked after there.
+        let needed = t_k2 / (decimate_to * T::lit(0.99)) + T::lit(2.0);
+        if needed > T::lit(N as f64) {
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "only for the message"
+            )]
+            let needed = needed.to_f64() as u32;
+            #[expect(clippy::cast_possible_truncation, reason = "a queue of 2^32 increments is 100 GB")]
+            return Err(AlignerError::Queue {
+                needed,
+                capacity: N as u32,
+            });
         }
         Ok(Self {
             config,

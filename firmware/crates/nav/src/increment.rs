@@ -127,7 +127,7 @@ pub struct Decimator<T: Real = f32> {
 }
 
 impl<T: Real> Decimator<T> {
-    /// One that gives increments of `interval` seconds, within half a sample.
+    /// One that gives increments of `interval` seconds, or of the next whole number of samples above that.
     pub fn new(interval: T) -> Self {
         Self {
             interval,
@@ -142,7 +142,8 @@ impl<T: Real> Decimator<T> {
         self.dv_s += self.turn * increment.dv_s;
         self.turn = (self.turn * Rot::exp(increment.phi_s)).normalized();
         self.dt += increment.dt;
-        if self.dt + increment.dt * T::lit(0.5) < self.interval {
+        // A hundredth for rounding. Never much shorter: whoever queues increments counts on their length.
+        if self.dt < self.interval * T::lit(0.99) {
             return None;
         }
         let full = Increment {
@@ -257,6 +258,20 @@ mod tests {
             }
         }
         assert!(decimator.pending().is_none());
+    }
+
+    #[test]
+    fn no_increment_is_shorter_than_asked_for() {
+        for (dt, samples) in [(0.02, 3), (0.01, 5), (1.0 / 30.0, 2), (0.1, 1), (0.005, 10)] {
+            let mut decimator = Decimator::<f32>::new(0.05);
+            let increment = Increment {
+                phi_s: Vec3::zero(),
+                dv_s: Vec3::zero(),
+                dt,
+            };
+            let taken = (1..100).find(|_| decimator.push(&increment).is_some());
+            assert_eq!(taken, Some(samples), "{dt}");
+        }
     }
 
     #[test]
