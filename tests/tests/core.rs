@@ -280,8 +280,14 @@ fn any_sample_rate() {
         let result = simulate::run::<f32>(&scenario, 21, Method::Kf, &mut ()).unwrap();
         assert_eq!(result.state, "aligned", "{rate_hz} Hz: {:?}", result.reason);
         let last = result.last.unwrap();
-        assert!(last.error.heading_deg.abs() < 4.0 * last.reading.sd.heading_deg, "{rate_hz} Hz: {last:?}");
-        assert!((last.reading.sd.heading_deg - 0.353).abs() < 0.01, "{rate_hz} Hz: {last:?}");
+        assert!(
+            last.error.heading_deg.abs() < 4.0 * last.reading.sd.heading_deg,
+            "{rate_hz} Hz: {last:?}"
+        );
+        assert!(
+            (last.reading.sd.heading_deg - 0.353).abs() < 0.01,
+            "{rate_hz} Hz: {last:?}"
+        );
     }
 }
 
