@@ -2,9 +2,12 @@
 //!
 //! ```text
 //! scenario ─► truth ─► sensors ─┬─► nav::aligner ─► simulate ─► monte_carlo, plot, report
-//!                               └─► log ─► replay ─► nav::aligner
-//! device: the same sensors as chips on buses
+//!                │              └─► log ─► replay ─► nav::aligner
+//!                └─► plant ─► device ─► bus ─► app ─► unit_sim          (in virtual time)
 //! ```
+//!
+//! Three levels, each slower and more real than the one before: the core fed with samples ([`simulate`]), the whole
+//! application on simulated buses ([`unit_sim`]), and the image on an emulated chip, which is not here yet.
 //!
 //! Truth is closed-form in f64 and its increments are exact; errors are drawn from one seed; the core is
 //! the firmware's own, in f32. Frames, signs and names are those of [`frames`].
