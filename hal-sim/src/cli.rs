@@ -56,17 +56,24 @@ enum Command {
     },
 }
 
+/// What is simulated.
 #[derive(Args)]
-struct RunArgs {
+struct Simulated {
     /// Built-in scenario, or a TOML file
     #[arg(long, short, default_value = "paper-sim")]
     scenario: String,
-    /// Seed of every chance in the run
+    /// Seed of every chance
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Length of the run, s, instead of the scenario's
+    /// Length of a run, s, instead of the scenario's; of `unit`, from the beginning of its alignment
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
+}
+
+#[derive(Args)]
+struct RunArgs {
+    #[command(flatten)]
+    simulated: Simulated,
     /// Fine filter
     #[arg(long, value_enum, default_value = "kf")]
     method: Method,
@@ -81,34 +88,13 @@ struct RunArgs {
     json: bool,
 }
 
-impl Default for RunArgs {
-    fn default() -> Self {
-        Self {
-            scenario: "paper-sim".to_owned(),
-            seed: 1,
-            seconds: None,
-            method: Method::Kf,
-            log: None,
-            report: PathBuf::from("report"),
-            json: false,
-        }
-    }
-}
-
 #[derive(Args)]
 struct MonteCarloArgs {
-    /// Built-in scenario, or a TOML file
-    #[arg(long, short, default_value = "paper-sim")]
-    scenario: String,
+    #[command(flatten)]
+    simulated: Simulated,
     /// Number of runs
     #[arg(long, short = 'n', default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     runs: u64,
-    /// Master seed
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// Length of a run, s, instead of the scenario's
-    #[arg(long, value_name = "S")]
-    seconds: Option<f64>,
     /// Fine filters, each on the same runs; `fine` in the JSON is the first
     #[arg(long, value_enum, value_delimiter = ',', default_value = "kf")]
     method: Vec<Method>,
@@ -122,15 +108,8 @@ struct MonteCarloArgs {
 
 #[derive(Args)]
 struct UnitArgs {
-    /// Built-in scenario, or a TOML file; its `[[fault]]` entries break things
-    #[arg(long, short, default_value = "paper-sim")]
-    scenario: String,
-    /// Seed of every chance in the run
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// Time from the beginning of the alignment to the end of the run, s, instead of the scenario's
-    #[arg(long, value_name = "S")]
-    seconds: Option<f64>,
+    #[command(flatten)]
+    simulated: Simulated,
     /// Fine filter
     #[arg(long, value_enum, default_value = "kf")]
     method: Method,
@@ -166,7 +145,12 @@ struct ReplayArgs {
 /// Parses the command line and does what it says.
 pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
-    let done = match cli.command.unwrap_or(Command::Run(RunArgs::default())) {
+    // Without a command: `run` with its own defaults, which stand in one place only.
+    let command = cli.command.or_else(|| Cli::parse_from(["hal-sim", "run"]).command);
+    let Some(command) = command else {
+        return ExitCode::from(BAD_INPUT);
+    };
+    let done = match command {
         Command::Run(args) => run(&args, cli.quiet),
         Command::MonteCarlo(args) => monte_carlo(&args, cli.quiet),
         Command::Replay(args) => replay(&args, cli.quiet),
@@ -198,14 +182,15 @@ fn print_json(value: &impl serde::Serialize) -> Result<(), String> {
     print(&format!("{text}\n"))
 }
 
-fn scenario(name: &str, seconds: Option<f64>) -> Result<Scenario, String> {
+fn scenario(simulated: &Simulated) -> Result<Scenario, String> {
+    let name = simulated.scenario.as_str();
     let mut scenario = if Scenario::builtin_names().any(|builtin| builtin == name) || !Path::new(name).exists() {
         Scenario::builtin(name)
     } else {
         Scenario::load(Path::new(name))
     }
     .map_err(words)?;
-    if let Some(seconds) = seconds {
+    if let Some(seconds) = simulated.seconds {
         scenario.run.duration_s = seconds;
         scenario.validate().map_err(|e| format!("--seconds: {e}"))?;
     }
@@ -266,7 +251,7 @@ fn told(bar: &ProgressBar, quiet: bool, t: f64, event: &str) {
 }
 
 fn run(args: &RunArgs, quiet: bool) -> Done {
-    let scenario = scenario(&args.scenario, args.seconds)?;
+    let scenario = scenario(&args.simulated)?;
     let log = match &args.log {
         None => None,
         Some(path) => {
@@ -274,7 +259,10 @@ fn run(args: &RunArgs, quiet: bool) -> Done {
         }
     };
     if !quiet {
-        eprintln!("{}, seed {}: {}", scenario.name, args.seed, scenario.description);
+        eprintln!(
+            "{}, seed {}: {}",
+            scenario.name, args.simulated.seed, scenario.description
+        );
     }
     let mut observer = RunObserver {
         bar: bar(scenario.run.duration_s as u64, "s", quiet),
@@ -285,13 +273,15 @@ fn run(args: &RunArgs, quiet: bool) -> Done {
         log_error: None,
         samples: 0,
     };
-    let result = simulate::run::<f32>(&scenario, args.seed, args.method, &mut observer).map_err(words)?;
+    let result = simulate::run::<f32>(&scenario, args.simulated.seed, args.method, &mut observer).map_err(words)?;
     observer.bar.finish_and_clear();
     if let (Some(path), Some(log)) = (&args.log, observer.log) {
         let finished = observer.log_error.map_or_else(|| log.finish().map(drop), Err);
         finished.map_err(|e| format!("cannot write {}: {e}", path.display()))?;
     }
-    let dir = args.report.join(format!("{}-seed{}", scenario.name, args.seed));
+    let dir = args
+        .report
+        .join(format!("{}-seed{}", scenario.name, args.simulated.seed));
     report::run(&dir, &result, &observer.moments, &observer.rotor).map_err(words)?;
     if args.json {
         print_json(&result)?;
@@ -392,11 +382,11 @@ fn run_table(result: &RunResult) -> String {
 }
 
 fn monte_carlo(args: &MonteCarloArgs, quiet: bool) -> Done {
-    let scenario = scenario(&args.scenario, args.seconds)?;
+    let scenario = scenario(&args.simulated)?;
     let mut methods = args.method.clone();
     methods.dedup();
     let bar = bar(args.runs, "runs", quiet);
-    let result = monte_carlo::run(&scenario, args.runs, args.seed, &methods, || bar.inc(1)).map_err(words)?;
+    let result = monte_carlo::run(&scenario, args.runs, args.simulated.seed, &methods, || bar.inc(1)).map_err(words)?;
     bar.finish_and_clear();
     let dir = args.report.join(format!("{}-monte-carlo", scenario.name));
     report::monte_carlo(&dir, &result).map_err(words)?;
@@ -612,7 +602,7 @@ impl unit_sim::Observer for UnitObserver {
 }
 
 fn unit(args: &UnitArgs, quiet: bool) -> Done {
-    let scenario = scenario(&args.scenario, args.seconds)?;
+    let scenario = scenario(&args.simulated)?;
     let mut observer = UnitObserver {
         bar: bar(scenario.run.duration_s as u64, "s", quiet),
         level: args.log_level,
@@ -621,7 +611,7 @@ fn unit(args: &UnitArgs, quiet: bool) -> Done {
         problem: None,
     };
     let begun = std::time::Instant::now();
-    let result = unit_sim::run(&scenario, args.seed, args.method, &mut observer).map_err(words)?;
+    let result = unit_sim::run(&scenario, args.simulated.seed, args.method, &mut observer).map_err(words)?;
     observer.bar.finish_and_clear();
     if let Some(problem) = observer.problem {
         return Err(problem);

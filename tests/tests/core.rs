@@ -46,8 +46,8 @@ fn single_precision_is_enough() {
     }
 }
 
-/// ½ Δθ × Δv is what makes the swing harmless: taking it out of the samples beforehand, so that the core puts in no
-/// more than was taken, costs degrees.
+/// ½ Δθ × Δv is what makes the swing harmless: taken out of the samples beforehand, so that the core puts in no more
+/// than was taken, it costs tenths of a degree to degrees, and the innovations show it.
 #[test]
 fn the_rotation_term_carries_the_heading() {
     let mut scenario = paper_sim();
@@ -58,15 +58,17 @@ fn the_rotation_term_carries_the_heading() {
     let with = reading(&align::<f64>(&scenario, simulation.clone(), |_| ()))
         .attitude
         .minus(&expected);
-    assert!(with.heading_deg.abs() < 0.01, "{with:?}");
+    assert!(with.heading_deg.abs() < 0.001, "{with:?}");
     let aligner = align::<f64>(&scenario, simulation, |row| {
         let Sample { dtheta_s, dv_s, .. } = row.sample;
         row.sample.dv_s = dv_s - dtheta_s.cross(dv_s) * 0.5;
     });
     let without = reading(&aligner).attitude.minus(&expected);
+    assert!(without.heading_deg.abs() > 0.1, "{without:?}");
     assert!(
-        without.heading_deg.abs() > 2.0 || aligner.mode() != Mode::Aligned,
-        "{without:?}"
+        matches!(aligner.not_ready(), Some(NotReady::Inconsistent { ratio }) if ratio > 100.0),
+        "{:?}",
+        aligner.not_ready()
     );
 }
 

@@ -267,7 +267,7 @@ fn imu_run(ready: DataReady, seed: u64, order: Order) -> Seen {
             // A page is selected: one transaction of 40 bytes and the stall.
             assert_eq!(now_ns() - stamp.at_ns, 80_400 + 5_000);
             let Sequence::Counter(counter) = sample.sequence else {
-                unreachable!()
+                panic!("{sample:?}")
             };
             let mut seen = to.borrow_mut();
             seen.stamps_ns.push(stamp.at_ns);

@@ -235,7 +235,7 @@ mod tests {
                 return verdict;
             }
         }
-        unreachable!()
+        panic!("no verdict")
     }
 
     fn noise(k: u16) -> f32 {

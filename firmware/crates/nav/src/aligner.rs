@@ -42,8 +42,8 @@ const PER_STEP: usize = 64;
 /// Most times that the fine filter goes over the queue.
 const MOST_PASSES: u8 = 6;
 
-/// Heading of the start that one pass may still have moved, rad: the error of linearising about it is
-/// of second order, 1° of 1 rad makes 0.01°.
+/// How far one pass may still have moved the start, rad: the error of linearising about it is half the
+/// square, 0.01° for 1°.
 const SETTLED: f64 = 1.0 * units::DEG;
 
 /// Figures of the aligner.
@@ -765,5 +765,71 @@ impl<T: Real, const N: usize> Aligner<T, N> {
     /// Earth at the configured place.
     pub fn earth(&self) -> &Earth<T> {
         &self.earth
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rate(x: f64) -> Vec3<Sensor, f64> {
+        Vec3::new(x, 0.0, 0.0)
+    }
+
+    #[test]
+    fn a_bridge_misses_what_is_not_a_straight_line() {
+        // 1 rad/s², samples of 10 ms about −5, and after a gap of 20 ms about 25 ms.
+        assert!(bridging_error(Some(rate(-0.015)), rate(-0.005), rate(0.025), 0.01, 0.02) < 1e-15);
+        // The acceleration turns round in the gap: e = 0.06 rad/s, missed by an eighth of that for 20 ms.
+        let corner = bridging_error(Some(rate(-0.015)), rate(-0.005), rate(-0.035), 0.01, 0.02);
+        assert!((corner - 0.06 * 0.02 / 8.0).abs() < 1e-15, "{corner}");
+        // With no past, half of the change.
+        assert!((bridging_error(None, rate(0.0), rate(0.1), 0.01, 0.02) - 0.001).abs() < 1e-15);
+    }
+
+    #[test]
+    fn config_errors_name_the_figure() {
+        let good = AlignerConfig::for_rotor(0.7_f32, 0.0, &RotorConfig::default(), FilterConfig::default());
+        let refused = |config| Aligner::<f32>::new(config).err();
+        assert_eq!(refused(good), None);
+        assert_eq!(
+            refused(AlignerConfig { latitude: 1.56, ..good }),
+            Some(AlignerError::Earth(EarthError::Latitude))
+        );
+        assert_eq!(
+            refused(AlignerConfig {
+                t_k2: good.t_k1,
+                ..good
+            }),
+            Some(AlignerError::Times)
+        );
+        assert_eq!(
+            refused(AlignerConfig {
+                decimate_to: 0.0,
+                ..good
+            }),
+            Some(AlignerError::Times)
+        );
+        assert_eq!(
+            refused(AlignerConfig {
+                settle: f32::NAN,
+                ..good
+            }),
+            Some(AlignerError::Times)
+        );
+        let queue = refused(AlignerConfig {
+            decimate_to: 0.02,
+            ..good
+        });
+        assert!(
+            matches!(
+                queue,
+                Some(AlignerError::Queue {
+                    needed: 2700..2800,
+                    capacity: 1150
+                })
+            ),
+            "{queue:?}"
+        );
     }
 }

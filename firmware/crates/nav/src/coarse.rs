@@ -266,3 +266,106 @@ fn triad<F: frames::Frame, T: Real>(a: Vec3<F, T>, b: Vec3<F, T>) -> Matrix3<T> 
     let third = second.cross(first);
     Matrix3::from_columns(&[first.vector(), second.vector(), third.vector()])
 }
+
+#[cfg(test)]
+mod tests {
+    use frames::{Body, units::DEG};
+
+    use super::*;
+    use crate::rotor::{RotorConfig, Schedule};
+
+    /// A still, tilted housing under a turning rotor, without any error; points at every whole second.
+    fn points<T: Real>(
+        latitude_deg: f64,
+        c_nb: Rot<Nav, Body, f64>,
+        seconds: u32,
+    ) -> (Coarse<T>, [CoarsePoint<T>; 301]) {
+        let earth = Earth::<f64>::new(latitude_deg * DEG, 0.0).unwrap();
+        let schedule = Schedule::<f64>::new(RotorConfig::default()).unwrap();
+        let dt = 0.05;
+        let turn_n = earth.w_ie_n() * dt;
+        let mut coarse = Coarse::new();
+        let mut points = [coarse.point(); 301];
+        for k in 0..20 * seconds {
+            let c_ns = |k: u32| c_nb * Rot::about_z(schedule.at(f64::from(k) * dt).angle);
+            let to_start = c_ns(k).inverse();
+            // n turns by half the interval's turn below the force, in the mean.
+            let force = -earth.g_n() - turn_n.cross(earth.g_n()) * 0.5;
+            coarse.push(&Increment {
+                phi_s: (to_start * (Rot::exp(turn_n) * c_ns(k + 1))).log().cast(),
+                dv_s: (to_start * force * dt).cast(),
+                dt: T::lit(dt),
+            });
+            if k % 20 == 19 {
+                points[k as usize / 20 + 1] = coarse.point();
+            }
+        }
+        (coarse, points)
+    }
+
+    /// Largest error over time pairs, rad.
+    fn worst<T: Real>(latitude_deg: f64) -> f64 {
+        let earth = Earth::<T>::new(T::lit(latitude_deg * DEG), T::zero()).unwrap();
+        let c_nb = Rot::from_yaw_pitch_roll(2.1, 0.1, -0.2);
+        let (coarse, points) = points(latitude_deg, c_nb, 300);
+        let alpha = Schedule::<f64>::new(RotorConfig::default()).unwrap().at(300.0).angle;
+        let truth = c_nb * Rot::about_z(alpha);
+        let pairs = [(50, 250), (18, 54), (1, 300), (100, 120), (250, 300)];
+        let errors = pairs.map(|(first, second)| {
+            let solution = CoarseSolution::solve(points[first], points[second], &earth).unwrap();
+            coarse.c_ns(&solution, &earth).cast::<f64>().angle_to(truth)
+        });
+        errors.into_iter().fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn exact_samples_give_the_attitude_at_any_pair_of_times() {
+        for latitude_deg in [-85.0, -35.0, 0.0, 40.0, 85.0] {
+            let (double, single) = (worst::<f64>(latitude_deg), worst::<f32>(latitude_deg));
+            assert!(double < 1e-10, "{latitude_deg}: {double:e}");
+            assert!(single < 1e-3, "{latitude_deg}: {single:e}");
+        }
+    }
+
+    #[test]
+    fn geometry_without_an_attitude_is_refused() {
+        let earth = Earth::<f64>::new(40.0 * DEG, 0.0).unwrap();
+        let (_, points) = points(40.0, Rot::identity(), 100);
+        let solve = |first, second| CoarseSolution::solve(first, second, &earth).map(|s| s.c_i_ib0);
+        let (early, late) = (points[50], points[100]);
+        assert_eq!(
+            solve(early, early),
+            Err(CoarseError::Times {
+                t1: early.t,
+                t2: early.t
+            })
+        );
+        assert_eq!(
+            solve(late, early),
+            Err(CoarseError::Times {
+                t1: late.t,
+                t2: early.t
+            })
+        );
+        assert_eq!(solve(points[0], late), Err(CoarseError::Times { t1: 0.0, t2: late.t }));
+        let fallen = CoarsePoint {
+            v_ib0: Vec3::zero(),
+            ..late
+        };
+        assert!(matches!(
+            solve(early, fallen),
+            Err(CoarseError::Gravity { found: 0.0, .. })
+        ));
+        let unknown = CoarsePoint {
+            v_ib0: late.v_ib0 * f64::NAN,
+            ..late
+        };
+        assert!(matches!(solve(early, unknown), Err(CoarseError::Gravity { .. })));
+        // Gravity that has not moved in inertial space is not Earth's.
+        let still = CoarsePoint {
+            v_ib0: early.v_ib0 * 2.0,
+            ..late
+        };
+        assert!(matches!(solve(early, still), Err(CoarseError::Degenerate { .. })));
+    }
+}

@@ -756,6 +756,24 @@ mod tests {
     }
 
     #[test]
+    fn tilt_is_less_certain_between_measurements() {
+        let mut filter = filter(Method::Kalman);
+        for k in 0..200 {
+            filter.step(&increment_f32(k));
+        }
+        let at_measurement = filter.phi_covariance()[(0, 0)];
+        assert_eq!(at_measurement, filter.covariance.block(PHI, PHI)[(0, 0)]);
+        for k in 200..210 {
+            filter.step(&increment_f32(k));
+        }
+        // Half a second of angle random walk, and a doubted gap on top.
+        let walk = filter.config.noise.angle_random_walk.powi(2) * 0.5;
+        assert!((filter.phi_covariance()[(0, 0)] - at_measurement - walk).abs() < 0.01 * walk);
+        filter.doubt(1e-3, 0.0);
+        assert!((filter.phi_covariance()[(2, 2)] - filter.covariance.block(PHI, PHI)[(2, 2)]).abs() > 0.99e-6);
+    }
+
+    #[test]
     fn config_errors_name_the_figure() {
         let good = FilterConfig::<f32>::default();
         assert_eq!(good.validate(), Ok(()));

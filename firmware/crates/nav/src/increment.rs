@@ -10,8 +10,9 @@
 //! ```
 //!
 //! φ is the rotation vector from the end of the interval to its start, Δv⁰ the velocity change
-//! resolved in the frame at the start. Leaving out `½ Δθ × Δv` alone costs 14° of heading at 100 Hz
-//! in the swing of \[Xing18\] Table 1.
+//! resolved in the frame at the start. Leaving out `½ Δθ × Δv` alone costs up to 1.7° of heading at
+//! 100 Hz in the swing of \[Xing18\] Table 1 (12 seeds, otherwise perfect samples, which leave 2e-5°), and
+//! innovations 500 times their variance.
 //!
 //! References: P. G. Savage, *Strapdown Inertial Navigation Integration Algorithm Design*, J. Guidance
 //! 21 (1998), parts 1 and 2: rotation (part 2, (25)), two-speed coning and sculling with the previous
