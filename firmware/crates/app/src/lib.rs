@@ -16,6 +16,7 @@
 //! | [`fault`] | faults and the rule for each |
 //! | [`selftest`] | what must hold before anything turns |
 //! | [`log`] | typed events |
+//! | [`nmea`] | sentences of NMEA 0183, pure |
 //! | [`rotor`] | the motor's control, pure |
 //!
 //! # The tasks
@@ -38,6 +39,7 @@ pub mod hal;
 pub mod log;
 pub mod mode;
 pub mod motor;
+pub mod nmea;
 pub mod rotor;
 pub mod sampling;
 pub mod selftest;
