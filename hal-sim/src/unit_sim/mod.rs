@@ -19,6 +19,8 @@
 //! Tasks cost processor time: 40 µs a poll of the motor's loop, 20 µs for sampling, 150 µs for alignment, 10 µs for
 //! supervision. Not modelled: the 11 ms of a replay step, delays inside the devices.
 
+pub mod fault;
+mod made;
 mod record;
 mod world;
 
@@ -36,28 +38,28 @@ use app::sampling::{self, SamplingConfig};
 use app::selftest::InspectionConfig;
 use app::shared::{Navigation, SampleCounts, Shared};
 use app::supervisor::{self, SupervisorConfig};
+use drivers::adis16495;
 use drivers::harmonics::{Harmonic, Harmonics};
 use drivers::motor::MotorDriver;
-use drivers::mt6835::{self, Warnings};
-use drivers::{Channels, SystemFlags, adis16495};
+use drivers::mt6835;
 use embassy_futures::select::{Either, select};
 use embassy_time::{Delay, Duration, Instant};
-use frames::units::{ARC_SEC, DEG, DEG_PER_HOUR};
+use frames::units::DEG_PER_HOUR;
 use nav::aligner::{Aligner, AlignerConfig, AlignerError};
 use nav::increment::Sample;
-use rand::RngExt;
 use serde::Serialize;
 use vtime::{Executor, Failure, Level, LocalRawMutex, TaskId, now_ns, sleep_until_ns};
 
 use crate::align::{self, Angles, Method, Reading, Setup};
 use crate::bus::{DataReady, Input, Line as Wire, Part, PwmSink, SpiFaults, SpiPort, SpiTiming, pwm};
 use crate::config::Violation;
-use crate::device::{self, Motion};
-use crate::plant::{Cable, Plant, PlantConfig};
-use crate::scenario::{FaultAt, FaultKind, Scenario};
-use crate::sensors::{Imu, Measured, Stream, stream};
+use crate::device;
+use crate::scenario::Scenario;
+use crate::sensors::{Measured, Stream, stream};
 use crate::truth::Truth;
 
+use fault::Breakable;
+pub use made::{Exposure, Made, motion};
 pub use record::Line;
 use record::Recording;
 use world::World;
@@ -66,10 +68,6 @@ use world::World;
 const START_LIMIT_S: f64 = 60.0;
 /// The watchdog's time, ns.
 const WATCHDOG_NS: u64 = 100_000_000;
-/// Spread of a motor's figures about those the firmware is told.
-const MOTOR_SPREAD: f64 = 0.1;
-/// Room beyond the schedule's travel that the cable has, rad.
-const CABLE_ROOM: f64 = 15.0 * DEG;
 
 const IMU_HZ: u32 = 4_000_000;
 const ENCODER_HZ: u32 = 8_000_000;
@@ -437,21 +435,8 @@ fn moment(navigation: &Navigation, truth: &Truth) -> Option<UnitMoment> {
 
 /// What a unit in this scenario is made of and told.
 fn bench(scenario: &Scenario, seed: u64, method: Method, truth: &Truth) -> Result<Bench, UnitError> {
-    let mut start = stream(seed, Stream::RotorStart);
-    let mut made = stream(seed, Stream::Plant);
-    let travel = scenario.rotor.travel_deg * DEG;
-    let edge = 0.5 * travel;
-    let plant = PlantConfig {
-        cable: PlantConfig::default().cable.map(|cable| Cable {
-            low: -CABLE_ROOM,
-            high: travel + CABLE_ROOM,
-            rest: edge,
-            ..cable
-        }),
-        home_edge: edge,
-        ..PlantConfig::default()
-    }
-    .varied(made.random(), MOTOR_SPREAD);
+    let made = Made::new(scenario, seed);
+    let (plant, edge) = (&made.plant, made.plant.home_edge);
     let schedule = Setup::of(scenario, method).rotor;
     let rotor = rotor::Config {
         encoder_zero: plant.encoder_zero as f32,
@@ -477,19 +462,9 @@ fn bench(scenario: &Scenario, seed: u64, method: Method, truth: &Truth) -> Resul
         };
     }
     // What the scenario adds is not in the unit's table: it is what the calibration has left.
-    let mut harmonics = plant.encoder_harmonics.clone();
-    harmonics.extend(scenario.encoder.harmonics.iter().map(|h| {
-        (
-            u16::try_from(h.order).unwrap_or(u16::MAX),
-            h.amplitude_arcsec * ARC_SEC,
-            h.phase_deg * DEG,
-        )
-    }));
+    let harmonics = made.harmonics(scenario);
     let (timer, monitor) = pwm(PWM_PERIOD_NS);
-    let world = World::new(
-        Plant::new(plant, start.random_range(0.0..travel), made.random()),
-        monitor,
-    );
+    let world = World::new(made.build(), monitor);
 
     let imu = Part::new(device::Adis16495::new(0, IMU_HZ));
     let mut model = device::Mt6835::new();
@@ -548,35 +523,20 @@ fn spawn_world(
         loss: scenario.buses.edge_loss,
         ..DataReady::default()
     };
-    let (world, truth) = (bench.world.clone(), Rc::clone(truth));
-    let mut errors = Imu::new(scenario, seed);
-    let inertia = world.now(|physics| physics.plant.config().inertia);
-    let mut before: Option<(f64, f64)> = None;
+    let world = bench.world.clone();
+    let mut exposure = Exposure::new(scenario, seed, truth);
     let (core, record) = (Rc::clone(core), Rc::clone(&bench.record));
-    let motion = move |from_us: u64, to_us: u64| {
+    let exposed = move |from_us: u64, to_us: u64| {
         let (from_us, to_us) = (from_us.min(to_us.saturating_sub(1)), to_us);
         let (t0, t1) = (from_us as f64 * 1e-6, to_us as f64 * 1e-6);
         let dt = t1 - t0;
         world.at(to_us * 1000, |physics| {
             let (from, to) = (physics.rotor_at(from_us * 1000), physics.rotor_at(to_us * 1000));
-            let (dtheta_s, dv_s) = truth.increment_driven((t0, from), (t1, to));
-            // The housing's own turning takes the rotor along by its friction and its inertia against it.
-            let base = (dtheta_s.z() - (to.angle - from.angle)) / dt;
-            if let Some((t, rate)) = before
-                && t1 - t < 0.02
-            {
-                physics.plant.load = -inertia * (base - rate) / (t1 - t);
-            }
-            before = Some((t1, base));
-            let measured = errors.measure(dtheta_s, dv_s, dt);
+            let measured = exposure.sample((t0, from), (t1, to), &mut physics.plant);
             if record.borrow().aligning_at_us.is_some() {
                 core.borrow_mut().take(to_us, &measured, dt, to.angle);
             }
-            Motion {
-                rate: (measured.dtheta_s / dt).to_array(),
-                force: (measured.dv_s / dt).to_array(),
-                temperature_c: 25.0,
-            }
+            motion(&measured, dt)
         })
     };
     executor.spawn(
@@ -586,7 +546,7 @@ fn spawn_world(
             bench.imu.clone(),
             bench.ready.clone(),
             stream(seed, Stream::DataReady),
-            motion,
+            exposed,
         ),
     );
 
@@ -604,97 +564,58 @@ fn spawn_world(
         }
     });
 
-    let mut steps: Vec<(u64, FaultKind, bool)> = Vec::new();
-    for FaultAt { at_s, for_s, kind } in &scenario.fault {
-        let ns = |s: f64| (s * 1e9) as u64;
-        steps.push((ns(*at_s), *kind, true));
-        if let Some(length) = for_s {
-            steps.push((ns(at_s + length), *kind, false));
-        }
-    }
-    steps.sort_by_key(|(at_ns, _, _)| *at_ns);
-    let bench = Rc::clone(bench);
+    let steps = fault::steps(&scenario.fault);
+    let mut breakable = Rc::clone(bench);
     executor.spawn("faults", Level::World, async move {
-        for (at_ns, kind, on) in steps {
-            sleep_until_ns(at_ns).await;
-            inject(&bench, kind, on);
+        for step in steps {
+            sleep_until_ns(step.at_ns).await;
+            fault::inject(&mut breakable, step.kind, step.on);
         }
     });
 }
 
-/// Breaks something, or mends it.
-fn inject(bench: &Bench, kind: FaultKind, on: bool) {
-    let imu = |set: &dyn Fn(&mut device::ImuFaults)| bench.imu.with(|model| set(&mut model.faults));
-    let encoder = |set: &dyn Fn(&mut device::EncoderFaults)| bench.encoder.with(|model| set(&mut model.faults));
-    let plant = |set: &dyn Fn(&mut crate::plant::PlantFaults)| {
-        bench.world.now(|physics| {
+impl Breakable for Rc<Bench> {
+    fn imu(&mut self, set: &dyn Fn(&mut device::ImuFaults)) {
+        self.imu.with(|model| set(&mut model.faults));
+    }
+
+    fn encoder(&mut self, set: &dyn Fn(&mut device::EncoderFaults)) {
+        self.encoder.with(|model| set(&mut model.faults));
+    }
+
+    fn plant(&mut self, set: &dyn Fn(&mut crate::plant::PlantFaults)) {
+        self.world.now(|physics| {
             set(&mut physics.plant.faults);
             physics.note(now_ns());
         });
-    };
-    let hang = |task: Task| {
-        if let Some(id) = bench.tasks.borrow().get(task.index()) {
-            id.freeze(on);
-        }
-    };
-    let many = if on { u32::MAX } else { 0 };
-    match kind {
-        FaultKind::ImuEdges => bench.ready.force(on.then_some(false)),
-        FaultKind::ImuSilent => imu(&|f| f.silent = on.then_some(0xFF)),
-        FaultKind::ImuCrc => imu(&|f| f.bad_crc = many),
-        FaultKind::ImuSaturated => imu(&|f| f.saturated = if on { Channels::RATE_Z } else { Channels::NONE }),
-        FaultKind::ImuStuckData => imu(&|f| f.stuck_data = on),
-        FaultKind::ImuStuckCounter => imu(&|f| f.stuck_counter = on),
-        FaultKind::ImuFlags => imu(&|f| f.flags = if on { SystemFlags::OVERRUN.bits() } else { 0 }),
-        FaultKind::ImuHot => imu(&|f| f.temperature_c = on.then_some(110.0)),
-        FaultKind::ImuRate => decimate(&bench.imu, if on { 24 } else { 20 }),
-        FaultKind::ImuBus => bench.imu.set_faults(SpiFaults {
-            stuck: on,
+    }
+
+    fn cut_data_ready(&mut self, cut: bool) {
+        self.ready.force(cut.then_some(false));
+    }
+
+    fn stick_imu_bus(&mut self, stuck: bool) {
+        self.imu.set_faults(SpiFaults {
+            stuck,
             ..SpiFaults::default()
-        }),
-        FaultKind::EncoderSilent => encoder(&|f| f.silent = on.then_some(0xFF)),
-        FaultKind::EncoderCrc => encoder(&|f| f.bad_crc = many),
-        FaultKind::EncoderFrozen => encoder(&|f| f.frozen = on),
-        FaultKind::EncoderWeak => encoder(&|f| {
-            f.warnings = if on { Warnings::WEAK_FIELD } else { Warnings::NONE };
-        }),
-        FaultKind::Driver => plant(&|f| f.driver_fault = on),
-        FaultKind::Jam => plant(&|f| f.stuck = on),
-        FaultKind::HomeBroken => plant(&|f| f.home_broken = on),
-        FaultKind::HomeStuck => plant(&|f| f.home_stuck = on.then_some(rotor::Side::Above)),
-        FaultKind::HangSampling => hang(Task::Sampling),
-        FaultKind::HangMotor => hang(Task::Motor),
-        FaultKind::HangAlignment => hang(Task::Alignment),
-        FaultKind::Reset => {
-            if on {
-                bench.reset.set(Some(ResetCause::Pin));
-                vtime::stop();
-            }
+        });
+    }
+
+    fn disturb_dec_rate(&mut self, dec_rate: u16) {
+        self.imu
+            .with(|model| fault::write_dec_rate(model, now_ns() / 1000, dec_rate));
+    }
+
+    fn hang(&mut self, task: Task, hangs: bool) {
+        if let Some(id) = self.tasks.borrow().get(task.index()) {
+            id.freeze(hangs);
         }
     }
-}
 
-/// Writes DEC_RATE behind the driver's back, as a disturbance on the lines might.
-fn decimate(imu: &Part<device::Adis16495>, dec_rate: u16) {
-    use crate::device::SpiTarget as _;
-    let at = adis16495::register::DEC_RATE;
-    let page = adis16495::register::PAGE_ID | adis16495::WRITE;
-    let [low, high] = dec_rate.to_le_bytes();
-    let frames = [
-        [page, at.page],
-        [at.address | adis16495::WRITE, low],
-        [(at.address + 1) | adis16495::WRITE, high],
-        [page, 0],
-    ];
-    // After a burst that may be under way: 80 µs and the stall.
-    let mut now_us = now_ns() / 1000 + 150;
-    imu.with(|model| {
-        for frame in frames {
-            model.transfer(now_us, &frame, &mut [0; 2]);
-            // Two bytes and the stall.
-            now_us += 10;
-        }
-    });
+    fn reset(&mut self) {
+        self.reset.set(Some(ResetCause::Pin));
+        vtime::stop();
+    }
 }
 
 /// Starts the unit's program.
