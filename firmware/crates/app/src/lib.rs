@@ -17,6 +17,7 @@
 //! | [`selftest`] | what must hold before anything turns |
 //! | [`log`] | typed events |
 //! | [`nmea`] | sentences of NMEA 0183, pure |
+//! | [`output`] | estimates and status → sentences on a serial line |
 //! | [`rotor`] | the motor's control, pure |
 //!
 //! # The tasks
@@ -40,6 +41,7 @@ pub mod log;
 pub mod mode;
 pub mod motor;
 pub mod nmea;
+pub mod output;
 pub mod rotor;
 pub mod sampling;
 pub mod selftest;
