@@ -46,7 +46,7 @@ use embassy_stm32::timer::Channel;
 use embassy_stm32::timer::complementary_pwm::{BreakInputPolarity, ComplementaryPwm, Ossi};
 use embassy_stm32::timer::low_level::CountingMode;
 use embassy_stm32::timer::simple_pwm::PwmPin;
-use embassy_stm32::usart::{self, Uart};
+use embassy_stm32::usart::{self, Uart, UartRx, UartTx};
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Config, Peri, Peripherals, bind_interrupts, dma, interrupt, pac, peripherals};
 use embassy_sync::blocking_mutex::Mutex;
@@ -140,6 +140,11 @@ bind_interrupts!(struct Irqs {
     FLASH => flash::InterruptHandler;
 });
 
+/// The serial port's transmitter, by DMA.
+pub type SerialTx = UartTx<'static, Async>;
+/// The serial port's receiver, by DMA.
+pub type SerialRx = UartRx<'static, Async>;
+
 /// A board that is up: clocks run, the motor is off.
 pub struct Board {
     /// Why it came up.
@@ -156,9 +161,11 @@ pub struct Board {
     pub driver: MotorDriver<Output<'static>, Flex<'static>>,
     /// The home switch: common to 3V3, so that a broken wire reads low on both.
     pub home: ChangeOver<Input<'static>, Input<'static>>,
-    /// The serial port.
-    #[expect(dead_code, reason = "set up for the NMEA output, which is not written yet")]
-    pub serial: Uart<'static, Async>,
+    /// The serial port: NMEA 0183 out.
+    pub serial_tx: SerialTx,
+    /// The serial port: commands in.
+    #[expect(dead_code, reason = "set up for the commands, which are not written yet")]
+    pub serial_rx: SerialRx,
     /// The watchdog, not started yet.
     pub watchdog: Iwdg,
     /// The flash of the settings.
@@ -236,6 +243,7 @@ impl Board {
         ) else {
             defmt::panic!("{} baud cannot be had from APB1", BAUD)
         };
+        let (serial_tx, serial_rx) = serial.split();
 
         Self {
             reset_cause: reset_cause(),
@@ -256,7 +264,8 @@ impl Board {
                 below: Input::new(pins.home_below, Pull::Down),
                 above: Input::new(pins.home_above, Pull::Down),
             },
-            serial,
+            serial_tx,
+            serial_rx,
             watchdog: Iwdg(IndependentWatchdog::new(units.watchdog, WATCHDOG_US)),
             settings: Flash::new(units.flash, Irqs).into_regions().bank2_region1,
         }

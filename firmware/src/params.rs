@@ -5,6 +5,7 @@
 
 use app::alignment::AlignmentConfig;
 use app::motor::HARMONICS;
+use app::output::OutputConfig;
 use app::rotor::{self, CalibrationConfig, ControlConfig, HomeSwitch, Homing, Limits, MotorConfig, PhaseOrder};
 use app::sampling::SamplingConfig;
 use app::selftest::InspectionConfig;
@@ -132,4 +133,9 @@ pub fn alignment() -> AlignmentConfig {
 /// Supervision.
 pub fn supervisor() -> SupervisorConfig {
     SupervisorConfig::default()
+}
+
+/// The serial line's output.
+pub fn output() -> OutputConfig {
+    OutputConfig::default()
 }

@@ -5,6 +5,7 @@
 //! interrupt, priority 7   sampling     202 Hz: IMU at its data-ready
 //! thread                  alignment    up to 11 ms a step while it catches up
 //!                         supervisor   200 Hz: modes, faults, watchdog
+//!                         output       10 Hz: NMEA 0183 to the serial port
 //!                         report       1 Hz: the estimate to the log
 //! ```
 //!
@@ -12,9 +13,10 @@
 
 use app::hal::{ChangeOver, MagneticEncoder};
 use app::motor::Drive;
+use app::output::Port;
 use app::rotor::Rotor;
 use app::shared::Shared;
-use app::{alignment, motor, sampling, supervisor};
+use app::{alignment, motor, output, sampling, supervisor};
 use drivers::mt6835::Mt6835;
 use embassy_executor::Spawner;
 use embassy_stm32::gpio::{Flex, Input, Output};
@@ -24,7 +26,7 @@ use frames::units::DEG;
 use nav::aligner::{Aligner, QUEUE};
 use static_cell::StaticCell;
 
-use crate::board::{self, Board, Bridge, DataReady, Device, Iwdg, MotorCutoff};
+use crate::board::{self, Board, Bridge, DataReady, Device, Iwdg, MotorCutoff, SerialTx};
 use crate::params;
 
 #[cfg(not(feature = "icm42688"))]
@@ -36,6 +38,7 @@ type Encoder = MagneticEncoder<Device>;
 type Motor = Drive<Output<'static>, Flex<'static>, Bridge, ChangeOver<Input<'static>, Input<'static>>>;
 
 static SHARED: Shared<CriticalSectionRawMutex> = Shared::new();
+static PORT: Port<CriticalSectionRawMutex> = Port::new();
 static ROTOR: StaticCell<Rotor> = StaticCell::new();
 static ALIGNER: StaticCell<Aligner<f32, QUEUE>> = StaticCell::new();
 
@@ -54,11 +57,12 @@ pub fn start(spawner: Spawner, mut board: Board) {
     let imu = Imu::new(board.imu, Delay);
 
     board.watchdog.start();
-    let (Ok(motor), Ok(sampling), Ok(alignment), Ok(supervisor), Ok(report)) = (
+    let (Ok(motor), Ok(sampling), Ok(alignment), Ok(supervisor), Ok(output), Ok(report)) = (
         motor(encoder, drive, rotor),
         sampling(imu, board.imu_ready),
         alignment(aligner),
         supervisor(board.watchdog),
+        output(board.serial_tx),
         report(),
     ) else {
         defmt::unreachable!("each task is spawned once")
@@ -67,6 +71,7 @@ pub fn start(spawner: Spawner, mut board: Board) {
     board::sampling_executor().spawn(sampling);
     spawner.spawn(alignment);
     spawner.spawn(supervisor);
+    spawner.spawn(output);
     spawner.spawn(report);
 }
 
@@ -106,7 +111,12 @@ async fn supervisor(watchdog: Iwdg) -> ! {
     supervisor::run(&SHARED, MotorCutoff, watchdog, params::supervisor()).await
 }
 
-/// The estimate, once a second, until the serial port has it.
+#[embassy_executor::task]
+async fn output(tx: SerialTx) -> ! {
+    output::run(&SHARED, &PORT, tx, params::output()).await
+}
+
+/// The estimate, once a second, for whoever reads the log and not the serial port.
 #[embassy_executor::task]
 async fn report() {
     let Some(mut navigation) = SHARED.navigation.receiver() else {

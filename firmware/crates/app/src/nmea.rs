@@ -19,7 +19,7 @@
 
 use frames::units::DEG;
 use frames::{Attitude, AttitudeSd};
-use heapless::String;
+use heapless::Vec;
 
 use crate::command::ModeName;
 
@@ -30,17 +30,17 @@ const BODY: usize = LONGEST - 5;
 
 /// A whole sentence, CR LF included.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Sentence(String<LONGEST>);
+pub struct Sentence(Vec<u8, LONGEST>);
 
 impl Sentence {
-    /// Its text: ASCII.
-    pub fn as_str(&self) -> &str {
+    /// What goes over the line: ASCII.
+    pub fn as_bytes(&self) -> &[u8] {
         &self.0
     }
 
-    /// What goes over the line.
-    pub fn as_bytes(&self) -> &[u8] {
-        self.0.as_bytes()
+    /// The same as text.
+    pub fn as_str(&self) -> &str {
+        core::str::from_utf8(&self.0).unwrap_or_default()
     }
 }
 
@@ -62,13 +62,13 @@ pub enum HeadingMode {
 
 impl HeadingMode {
     /// Its letter.
-    pub const fn letter(self) -> char {
+    pub const fn letter(self) -> u8 {
         match self {
-            Self::Autonomous => 'A',
-            Self::Estimated => 'E',
-            Self::Manual => 'M',
-            Self::Simulator => 'S',
-            Self::Invalid => 'V',
+            Self::Autonomous => b'A',
+            Self::Estimated => b'E',
+            Self::Manual => b'M',
+            Self::Simulator => b'S',
+            Self::Invalid => b'V',
         }
     }
 }
@@ -95,7 +95,7 @@ pub fn hdt(heading: f32) -> Option<Sentence> {
     let mut line = Line::start("$HEHDT");
     line.comma();
     line.fixed(heading, 2, false);
-    line.letter('T');
+    line.letter(b'T');
     Some(line.end())
 }
 
@@ -108,7 +108,7 @@ pub fn rot(rate: Option<f32>) -> Sentence {
     if let Some(tenths) = tenths {
         line.fixed(tenths, 1, false);
     }
-    line.letter(if tenths.is_some() { 'A' } else { 'V' });
+    line.letter(if tenths.is_some() { b'A' } else { b'V' });
     line.end()
 }
 
@@ -128,7 +128,7 @@ pub fn pashr(attitude: Option<(&Attitude, &AttitudeSd)>, aligned: bool) -> Sente
     line.comma();
     if let Some((heading, angles, sds)) = numbers {
         line.fixed(heading, 2, false);
-        line.letter('T');
+        line.letter(b'T');
         for angle in angles {
             line.comma();
             line.fixed(angle, 2, true);
@@ -144,8 +144,8 @@ pub fn pashr(attitude: Option<(&Attitude, &AttitudeSd)>, aligned: bool) -> Sente
             line.comma();
         }
     }
-    line.letter('0');
-    line.letter(if numbers.is_some() && aligned { '1' } else { '0' });
+    line.letter(b'0');
+    line.letter(if numbers.is_some() && aligned { b'1' } else { b'0' });
     line.end()
 }
 
@@ -170,12 +170,14 @@ pub struct Report {
 pub fn status(report: &Report) -> Sentence {
     let mut line = Line::start("$PRNST");
     line.comma();
-    line.number(report.up_us / 10_000, 2);
+    line.number(seconds(report.up_us), 0);
+    line.push(b'.');
+    line.digits((report.up_us % 1_000_000) as u32 / 10_000, 2);
     line.comma();
     if let Some((mode, since_us)) = report.mode {
         line.text(mode.as_str());
         line.comma();
-        line.number(report.up_us.saturating_sub(since_us) / 1_000_000, 0);
+        line.number(seconds(report.up_us.saturating_sub(since_us)), 0);
     } else {
         line.comma();
     }
@@ -188,7 +190,7 @@ pub fn status(report: &Report) -> Sentence {
     line.comma();
     if let Some((fault, latched)) = report.fault {
         line.text(fault);
-        line.letter(if latched { 'L' } else { 'R' });
+        line.letter(if latched { b'L' } else { b'R' });
     } else {
         line.comma();
     }
@@ -210,9 +212,14 @@ pub fn answer(ok: bool, text: &str) -> Sentence {
     line.comma();
     for byte in text.bytes() {
         let reserved = !matches!(byte, b' '..=b'}') || b"!$*,\\^".contains(&byte);
-        line.push(if reserved { ' ' } else { char::from(byte) });
+        line.push(if reserved { b' ' } else { byte });
     }
     line.end()
+}
+
+/// Whole seconds: 136 years' worth.
+fn seconds(us: u64) -> u32 {
+    u32::try_from(us / 1_000_000).unwrap_or(u32::MAX)
 }
 
 fn degrees(angle: f32) -> f32 {
@@ -253,75 +260,84 @@ fn up(sd: f32) -> Option<i32> {
 
 /// A sentence in the making. What does not fit is left out, so that an end always does: the tests show that
 /// nothing but an answer's text ever is.
-struct Line(String<LONGEST>);
+///
+/// Not to be inlined: the sentences would be three times as large.
+struct Line(Vec<u8, LONGEST>);
 
 impl Line {
     fn start(head: &str) -> Self {
-        let mut line = Self(String::new());
+        let mut line = Self(Vec::new());
         line.text(head);
         line
     }
 
-    fn push(&mut self, c: char) {
+    #[inline(never)]
+    fn push(&mut self, byte: u8) {
         if self.0.len() < BODY {
-            let _ = self.0.push(c);
+            let _ = self.0.push(byte);
         }
     }
 
+    #[inline(never)]
     fn text(&mut self, text: &str) {
         for byte in text.bytes() {
-            self.push(char::from(byte));
+            self.push(byte);
         }
     }
 
     /// Begins a field.
     fn comma(&mut self) {
-        self.push(',');
+        self.push(b',');
     }
 
     /// A whole field of one letter.
-    fn letter(&mut self, letter: char) {
+    #[inline(never)]
+    fn letter(&mut self, letter: u8) {
         self.comma();
         self.push(letter);
     }
 
     /// `scaled`/10^`decimals`.
-    fn fixed(&mut self, scaled: i32, decimals: usize, plus: bool) {
+    #[inline(never)]
+    fn fixed(&mut self, scaled: i32, decimals: u32, plus: bool) {
         if scaled < 0 {
-            self.push('-');
+            self.push(b'-');
         } else if plus {
-            self.push('+');
+            self.push(b'+');
         }
-        self.number(scaled.unsigned_abs().into(), decimals);
+        self.number(scaled.unsigned_abs(), decimals);
     }
 
     /// The same without a sign.
-    fn number(&mut self, scaled: u64, decimals: usize) {
-        // 20 digits of 2⁶⁴, last one first.
-        let mut digits = [b'0'; 20];
-        let (mut rest, mut count) = (scaled, 0);
-        for digit in &mut digits {
-            if rest == 0 && count > decimals {
-                break;
-            }
-            *digit = b'0' + (rest % 10) as u8;
-            rest /= 10;
-            count += 1;
+    #[inline(never)]
+    fn number(&mut self, scaled: u32, decimals: u32) {
+        let (whole, fraction) = match decimals {
+            0 => (scaled, 0),
+            _ => (scaled / 10_u32.pow(decimals), scaled % 10_u32.pow(decimals)),
+        };
+        self.digits(whole, whole.checked_ilog10().unwrap_or_default() + 1);
+        if decimals > 0 {
+            self.push(b'.');
+            self.digits(fraction, decimals);
         }
-        for (place, digit) in digits.iter().enumerate().take(count).rev() {
-            self.push(char::from(*digit));
-            if place == decimals && decimals > 0 {
-                self.push('.');
-            }
+    }
+
+    /// The last `count` digits of a number.
+    #[inline(never)]
+    fn digits(&mut self, number: u32, count: u32) {
+        for place in (0..count).rev() {
+            let digit = number / 10_u32.pow(place) % 10;
+            self.push(b'0' + digit as u8);
         }
     }
 
     /// Check sum: exclusive or of all between `$` and `*`, in upper-case hex.
+    #[inline(never)]
     fn end(mut self) -> Sentence {
-        let sum = self.0.bytes().skip(1).fold(0, |sum, byte| sum ^ byte);
-        let hex = |nibble: u8| char::from(if nibble < 10 { b'0' + nibble } else { b'A' - 10 + nibble });
-        for c in ['*', hex(sum >> 4), hex(sum & 15), '\r', '\n'] {
-            let _ = self.0.push(c);
+        let sum = self.0.iter().skip(1).fold(0, |sum, byte| sum ^ byte);
+        let hex = |nibble: u8| nibble + if nibble < 10 { b'0' } else { b'A' - 10 };
+        for byte in [b'*', hex(sum >> 4), hex(sum & 15), b'\r', b'\n'] {
+            let _ = self.0.push(byte);
         }
         Sentence(self.0)
     }
