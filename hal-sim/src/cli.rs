@@ -9,6 +9,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 use hal_sim::align::{self, Angles, Method, Setup};
+use hal_sim::bus::UartLine;
 use hal_sim::log::{LogRow, LogWarning, LogWriter};
 use hal_sim::monte_carlo::{self, Statistics};
 use hal_sim::replay::{self, Replay};
@@ -116,6 +117,9 @@ struct UnitArgs {
     /// Least severe level of the unit's log that is printed
     #[arg(long, value_name = "LEVEL", default_value = "info")]
     log_level: log::LevelFilter,
+    /// Write what the unit's serial port sends: NMEA 0183
+    #[arg(long, value_name = "FILE")]
+    nmea: Option<PathBuf>,
     /// Print the result as JSON, and the log to stderr
     #[arg(long)]
     json: bool,
@@ -572,10 +576,45 @@ struct UnitObserver {
     level: log::LevelFilter,
     quiet: bool,
     json: bool,
+    nmea: Option<NmeaFile>,
     problem: Option<String>,
 }
 
+/// Where the serial port's lines go.
+struct NmeaFile {
+    path: PathBuf,
+    file: BufWriter<File>,
+}
+
+impl NmeaFile {
+    fn create(path: &Path) -> Result<Self, String> {
+        let file = File::create(path).map_err(|e| cannot_write(path, &e))?;
+        Ok(Self {
+            path: path.to_owned(),
+            file: BufWriter::new(file),
+        })
+    }
+
+    fn put(&mut self, bytes: &[u8]) -> Result<(), String> {
+        self.file.write_all(bytes).map_err(|e| cannot_write(&self.path, &e))
+    }
+
+    fn finish(mut self) -> Result<(), String> {
+        self.file.flush().map_err(|e| cannot_write(&self.path, &e))
+    }
+}
+
+fn cannot_write(path: &Path, error: &io::Error) -> String {
+    format!("cannot write {}: {error}", path.display())
+}
+
 impl unit_sim::Observer for UnitObserver {
+    fn sentence(&mut self, line: &UartLine) {
+        if let Some(file) = &mut self.nmea {
+            self.problem = file.put(&line.bytes).err().or(self.problem.take());
+        }
+    }
+
     fn line(&mut self, line: &Line) {
         if line.level > self.level {
             return;
@@ -608,6 +647,7 @@ fn unit(args: &UnitArgs, quiet: bool) -> Done {
         level: args.log_level,
         quiet,
         json: args.json,
+        nmea: args.nmea.as_deref().map(NmeaFile::create).transpose()?,
         problem: None,
     };
     let begun = std::time::Instant::now();
@@ -616,6 +656,7 @@ fn unit(args: &UnitArgs, quiet: bool) -> Done {
     if let Some(problem) = observer.problem {
         return Err(problem);
     }
+    observer.nmea.map_or(Ok(()), NmeaFile::finish)?;
     let ratio = result.t_s / begun.elapsed().as_secs_f64().max(1e-9);
     if args.json {
         print_json(&result)?;

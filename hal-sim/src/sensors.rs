@@ -63,6 +63,8 @@ pub enum Stream {
     Plant = 13,
     /// Jitter and loss of data-ready edges.
     DataReady = 14,
+    /// Noise of the serial line.
+    Serial = 15,
 }
 
 /// The generator of one source of chance in the run with this seed.

@@ -14,10 +14,11 @@
 //! | IMU | DEC_RATE 20: 202.4 samples a second; SPI 4 MHz, 20 µs from its end to the task |
 //! | encoder | 1000 readings a second; SPI 8 MHz, 20 µs |
 //! | PWM | 20 kHz |
+//! | serial port | 115200 baud, 1024 bytes ahead of the line |
 //! | watchdog | 100 ms |
 //!
 //! Tasks cost processor time: 40 µs a poll of the motor's loop, 20 µs for sampling, 150 µs for alignment, 10 µs for
-//! supervision. Not modelled: the 11 ms of a replay step, delays inside the devices.
+//! supervision, 50 µs for the serial port. Not modelled: the 11 ms of a replay step, delays inside the devices.
 
 pub mod fault;
 mod made;
@@ -33,6 +34,7 @@ use app::fault::{Fault, Task};
 use app::hal::{ChangeOver, Edge, EdgeCapture, MagneticEncoder, ResetCause};
 use app::mode::Status;
 use app::motor::{self, Drive, HARMONICS};
+use app::output::{self, OutputConfig, Port};
 use app::rotor::{self, HomeSwitch, Homing, Rotor};
 use app::sampling::{self, SamplingConfig};
 use app::selftest::InspectionConfig;
@@ -51,7 +53,9 @@ use serde::Serialize;
 use vtime::{Executor, Failure, Level, LocalRawMutex, TaskId, now_ns, sleep_until_ns};
 
 use crate::align::{self, Angles, Method, Reading, Setup};
-use crate::bus::{DataReady, Input, Line as Wire, Part, PwmSink, SpiFaults, SpiPort, SpiTiming, pwm};
+use crate::bus::{
+    DataReady, Input, Line as Wire, Part, PwmSink, SpiFaults, SpiPort, SpiTiming, UartConfig, UartLine, pwm, uart,
+};
 use crate::config::Violation;
 use crate::device;
 use crate::scenario::Scenario;
@@ -205,8 +209,12 @@ pub struct UnitResult {
 
 /// What a run is told while it goes.
 pub trait Observer {
-    /// The unit has written a line.
+    /// The unit has written a line to its log.
     fn line(&mut self, _line: &Line) {}
+    /// A line has come from its serial port.
+    fn sentence(&mut self, _line: &UartLine) {}
+    /// It has put out an estimate.
+    fn estimate(&mut self, _navigation: &Navigation) {}
     /// Virtual time has come so far, s.
     fn time(&mut self, _t_s: f64) {}
 }
@@ -250,6 +258,8 @@ struct Record {
     aligning_at_us: Option<u64>,
     aligned_at_s: Option<f64>,
     lines: Vec<Line>,
+    sentences: Vec<UartLine>,
+    estimates: Vec<Navigation>,
 }
 
 /// Data-ready with its stamp, as an EXTI interrupt gives it.
@@ -300,6 +310,7 @@ struct Bench {
     shared: Rc<RefCell<Rc<Bus>>>,
     reset: Rc<Cell<Option<ResetCause>>>,
     record: Rc<RefCell<Record>>,
+    seed: u64,
 }
 
 /// The timer in the hands of the unit that runs; it goes back to the bench with a reset.
@@ -367,6 +378,12 @@ pub fn run(
             .map_err(UnitError::Program)?;
         for line in record.borrow_mut().lines.drain(..) {
             observer.line(&line);
+        }
+        for navigation in record.borrow_mut().estimates.drain(..) {
+            observer.estimate(&navigation);
+        }
+        for sentence in record.borrow_mut().sentences.drain(..) {
+            observer.sentence(&sentence);
         }
         observer.time(executor.now().as_micros() as f64 * 1e-6);
         if stop == vtime::Stop::Requested
@@ -505,6 +522,7 @@ fn bench(scenario: &Scenario, seed: u64, method: Method, truth: &Truth) -> Resul
         shared: Rc::new(RefCell::new(Rc::new(Shared::new()))),
         reset: Rc::default(),
         record: Rc::default(),
+        seed,
     })
 }
 
@@ -680,13 +698,37 @@ fn boot(executor: &mut Executor<'_>, bench: &Rc<Bench>) -> Result<(), UnitError>
         loop {
             match select(status.changed(), navigation.changed()).await {
                 Either::First(status) => see(&mut record.borrow_mut(), &status, &shared, &world),
-                Either::Second(navigation) => record.borrow_mut().last = Some(navigation),
+                Either::Second(navigation) => {
+                    let mut record = record.borrow_mut();
+                    record.last = Some(navigation);
+                    record.estimates.push(navigation);
+                }
             }
         }
     });
     // By the index of the task, then the others.
-    *bench.tasks.borrow_mut() = vec![sampling, motor, alignment, supervisor, recorder];
+    let mut tasks = vec![sampling, motor, alignment, supervisor, recorder];
+    tasks.extend(serial(executor, bench));
+    *bench.tasks.borrow_mut() = tasks;
     Ok(())
+}
+
+/// Starts the unit's serial port and the other end of its line. What is on the way at a reset is lost.
+fn serial(executor: &mut Executor<'_>, bench: &Rc<Bench>) -> [TaskId; 2] {
+    let shared = Rc::clone(&bench.shared.borrow());
+    let (_, tx, mut host) = uart(UartConfig::default(), stream(bench.seed, Stream::Serial));
+    let output = executor.spawn("output", Level::Thread, async move {
+        output::run(&shared, &Port::new(), tx, OutputConfig::default()).await
+    });
+    output.set_cost(Duration::from_micros(50));
+    let record = Rc::clone(&bench.record);
+    let host = executor.spawn("host", Level::World, async move {
+        loop {
+            let line = host.line().await;
+            record.borrow_mut().sentences.push(line);
+        }
+    });
+    [output, host]
 }
 
 /// Notes what the unit shows of its mode.
