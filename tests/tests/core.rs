@@ -89,7 +89,7 @@ fn golden_run() {
         .last
         .unwrap();
     assert!(
-        (last.reading.attitude.heading_deg - 336.063_940).abs() < 1e-4,
+        (last.reading.attitude.heading_deg - 336.063_804).abs() < 1e-4,
         "{:?}",
         last.reading.attitude
     );

@@ -76,46 +76,101 @@ impl<T: Real, const B: usize> Covariance<T, B> {
 
     /// Whether every variance is finite and positive and no correlation exceeds one.
     pub fn is_sound(&self) -> bool {
-        (0..3 * B).all(|i| {
-            let p_ii = self.at(i, i);
-            p_ii.finite()
-                && p_ii > T::zero()
-                && (0..i).all(|j| {
-                    let p_ij = self.at(j, i);
-                    p_ij * p_ij <= p_ii * self.at(j, j)
+        let variances: [Vector3<T>; B] = core::array::from_fn(|i| self.variances(i));
+        let positive = |v: &Vector3<T>| v.iter().all(|p| p.finite() && *p > T::zero());
+        variances.iter().all(positive)
+            && (0..B).all(|i| {
+                (i..B).all(|j| {
+                    let block = &self.upper[i][j];
+                    (0..3).all(|col| {
+                        // Of a diagonal block the part above the diagonal: correlations with others.
+                        let rows = if i == j { col } else { 3 };
+                        (0..rows).all(|row| {
+                            let p_ij = block[(row, col)];
+                            p_ij * p_ij <= variances[i][row] * variances[j][col]
+                        })
+                    })
                 })
-        })
-    }
-
-    fn at(&self, i: usize, j: usize) -> T {
-        self.upper[i / 3][j / 3][(i % 3, j % 3)]
+            })
     }
 
     /// Φ P Φᵀ with `Φ = I + couplings`.
     ///
     /// Couplings may chain (a block that is moved may move another): all of them act on the state at
-    /// the start.
+    /// the start. Put those first that read what others move, and a block's coupling with itself before its
+    /// others: then it is done in place, in half the time. In any other order, or with a cycle, it takes a copy.
     pub fn propagate(&mut self, couplings: &[Coupling<T>]) {
-        // M = Φ P; rows that nothing moves are P's own.
+        let mut moved = [false; B];
+        let mut in_place = true;
+        for &Coupling { row, col, .. } in couplings {
+            in_place &= !moved[col];
+            moved[row] = true;
+        }
+        if in_place {
+            // Φ is the product of its parts then.
+            for coupling in couplings {
+                self.move_block(coupling);
+            }
+        } else {
+            self.propagate_copy(couplings, &moved);
+        }
+    }
+
+    /// E P Eᵀ with `E = I + coupling`.
+    fn move_block(&mut self, &Coupling { row, col, ref block }: &Coupling<T>) {
+        let a = |r: usize, c: usize| block[(r, c)];
+        let at = |r: usize, c: usize| block[(c, r)];
+        // The diagonal takes E from both sides: a P_cr with P as it was, and later P_rc aᵀ with P_rc moved.
+        let source = self.block(col, row);
+        let mut diagonal = self.upper[row][row];
+        add_product(&mut diagonal, a, |r, c| source[(r, c)]);
+        for j in 0..B {
+            if j == row {
+                continue;
+            }
+            let (target, source) = if j < col {
+                (self.upper[row.min(j)][row.max(j)], self.upper[j][col])
+            } else {
+                (self.upper[row.min(j)][row.max(j)], self.upper[col][j])
+            };
+            let mut sum = target;
+            match (j < row, j < col) {
+                (false, false) => add_product(&mut sum, a, |r, c| source[(r, c)]),
+                (false, true) => add_product(&mut sum, a, |r, c| source[(c, r)]),
+                (true, false) => add_product(&mut sum, |r, c| source[(c, r)], at),
+                (true, true) => add_product(&mut sum, |r, c| source[(r, c)], at),
+            }
+            self.upper[row.min(j)][row.max(j)] = sum;
+        }
+        let moved = if row == col { diagonal } else { self.block(row, col) };
+        add_product(&mut diagonal, |r, c| moved[(r, c)], at);
+        symmetrise(&mut diagonal);
+        self.upper[row][row] = diagonal;
+    }
+
+    /// M = Φ P by rows, then P = M Φᵀ.
+    fn propagate_copy(&mut self, couplings: &[Coupling<T>], moved: &[bool; B]) {
         let mut m = [[Matrix3::zeros(); B]; B];
-        for (i, row) in m.iter_mut().enumerate() {
+        for (i, row) in m.iter_mut().enumerate().filter(|(i, _)| moved[*i]) {
             for (j, block) in row.iter_mut().enumerate() {
                 *block = self.block(i, j);
             }
         }
         for Coupling { row, col, block } in couplings {
-            for (j, moved) in m[*row].iter_mut().enumerate() {
-                *moved += block * self.block(*col, j);
+            for (j, sum) in m[*row].iter_mut().enumerate() {
+                *sum += block * self.block(*col, j);
             }
         }
-        // P = M Φᵀ, upper blocks only.
-        for (i, row) in m.iter().enumerate() {
+        for i in 0..B {
             for j in i..B {
-                let mut sum = row[j];
-                for coupling in couplings.iter().filter(|coupling| coupling.row == j) {
-                    sum += row[coupling.col] * coupling.block.transpose();
+                if moved[i] {
+                    self.upper[i][j] = m[i][j];
+                    for Coupling { col, block, .. } in couplings.iter().filter(|coupling| coupling.row == j) {
+                        self.upper[i][j] += m[i][*col] * block.transpose();
+                    }
+                } else if moved[j] {
+                    self.upper[i][j] = m[j][i].transpose();
                 }
-                self.upper[i][j] = sum;
             }
             symmetrise(&mut self.upper[i][i]);
         }
@@ -142,6 +197,72 @@ impl<T: Real, const B: usize> Covariance<T, B> {
         }
     }
 
+    /// Takes a measurement of all three components of block `measured`, each with noise variance `r` > 0: what
+    /// [`Covariance::update`] does for one axis after the other, but going over P once.
+    ///
+    /// The gains are in the order in which the components are to be taken.
+    pub fn update_block(&mut self, measured: usize, r: T) -> [Gain<T, B>; 3] {
+        // The rows that are measured, as they are after each step.
+        let mut rows = [[Vector3::zeros(); B]; 3];
+        for i in 0..B {
+            let block = self.block(i, measured);
+            for (axis, row) in rows.iter_mut().enumerate() {
+                row[i] = block.column(axis).into();
+            }
+        }
+        let gains: [Gain<T, B>; 3] = core::array::from_fn(|axis| {
+            let factors = rows.map(|row| row[measured][axis]);
+            let p_kk = factors[axis];
+            let r = at_least(r, p_kk);
+            let innovation_var = p_kk + r;
+            let inverse = T::one() / innovation_var;
+            // What is left of the row itself, where nearly all cancels: P_kj − P_kk P_kj/s = P_kj r/s.
+            let left = r * inverse;
+            let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
+            let column = core::array::from_fn(|i| {
+                let part = rows[axis][i];
+                let gain = part * inverse;
+                rows[next][i] -= gain * factors[next];
+                rows[last][i] -= gain * factors[last];
+                rows[axis][i] = part * left;
+                gain
+            });
+            for other in [next, last] {
+                rows[other][measured][axis] = rows[axis][measured][other];
+            }
+            Gain { column, innovation_var }
+        });
+        for i in 0..B {
+            if i == measured {
+                continue;
+            }
+            for j in i..B {
+                if j == measured {
+                    continue;
+                }
+                let mut block = self.upper[i][j];
+                for Gain { column, innovation_var } in &gains {
+                    subtract_outer(&mut block, &column[i], &(column[j] * *innovation_var));
+                }
+                if i == j {
+                    symmetrise(&mut block);
+                }
+                self.upper[i][j] = block;
+            }
+        }
+        for i in 0..B {
+            let [x, y, z] = rows.map(|row| row[i]);
+            let columns = Matrix3::from_columns(&[x, y, z]);
+            if i < measured {
+                self.upper[i][measured] = columns;
+            } else {
+                self.upper[measured][i] = columns.transpose();
+            }
+        }
+        symmetrise(&mut self.upper[measured][measured]);
+        gains
+    }
+
     /// Takes a measurement of component `axis` of block `measured` with noise variance `r` > 0.
     ///
     /// `r` is raised to [`LARGEST_CUT`]⁻¹ of the variance that is measured.
@@ -151,15 +272,15 @@ impl<T: Real, const B: usize> Covariance<T, B> {
             *part = self.block(i, measured).column(axis).into();
         }
         let p_kk = p_h[measured][axis];
-        let r = r.max(p_kk * T::lit(1.0 / LARGEST_CUT));
+        let r = at_least(r, p_kk);
         let innovation_var = p_kk + r;
         let inverse = T::one() / innovation_var;
-        let root = math::sqrt(inverse);
-        let u = p_h.map(|part| part * root);
+        let gain = p_h.map(|part| part * inverse);
         for i in 0..B {
             for j in i..B {
-                self.upper[i][j] -= u[i] * u[j].transpose();
+                subtract_outer(&mut self.upper[i][j], &gain[i], &p_h[j]);
             }
+            symmetrise(&mut self.upper[i][i]);
         }
         // The measured row is the one where nearly all cancels: P_kj − P_kk P_kj/s = P_kj r/s.
         let left = p_h.map(|part| part * (r * inverse));
@@ -172,12 +293,44 @@ impl<T: Real, const B: usize> Covariance<T, B> {
             }
         }
         Gain {
-            column: p_h.map(|part| part * inverse),
+            column: gain,
             innovation_var,
         }
     }
 }
 
+/// `r`, raised to what [`LARGEST_CUT`] asks for. No `max`: on the target that is a call.
+#[inline(always)]
+fn at_least<T: Real>(r: T, p_kk: T) -> T {
+    let least = p_kk * T::lit(1.0 / LARGEST_CUT);
+    if r < least { least } else { r }
+}
+
+/// `sum += a b`, each product added by itself: one instruction on the target.
+#[inline(always)]
+fn add_product<T: Real>(sum: &mut Matrix3<T>, a: impl Fn(usize, usize) -> T, b: impl Fn(usize, usize) -> T) {
+    for col in 0..3 {
+        for row in 0..3 {
+            let mut element = sum[(row, col)];
+            for k in 0..3 {
+                element += a(row, k) * b(k, col);
+            }
+            sum[(row, col)] = element;
+        }
+    }
+}
+
+/// `block −= a bᵀ`.
+#[inline(always)]
+fn subtract_outer<T: Real>(block: &mut Matrix3<T>, a: &Vector3<T>, b: &Vector3<T>) {
+    for col in 0..3 {
+        for row in 0..3 {
+            block[(row, col)] -= a[row] * b[col];
+        }
+    }
+}
+
+#[inline]
 fn symmetrise<T: Real>(block: &mut Matrix3<T>) {
     for (row, col) in [(1, 0), (2, 0), (2, 1)] {
         block[(row, col)] = block[(col, row)];
@@ -230,17 +383,29 @@ mod tests {
     proptest! {
         #[test]
         fn propagation_is_the_dense_product(seed in 0..1000_u32) {
-            let mut p = some_covariance(seed);
-            let before = dense(&p);
+            let before = dense(&some_covariance(seed));
             let couplings = couplings(seed + 77);
-            let mut phi = Dense::identity();
-            for c in &couplings {
-                let mut view = phi.fixed_view_mut::<3, 3>(3 * c.row, 3 * c.col);
-                view += c.block;
+            let [own, phi_bg, dv_phi, dv_bg, dv_ba] = couplings;
+            let back = Coupling { row: 3, col: 1, block: block(seed + 5) };
+            let orders: [&[Coupling<f64>]; 5] = [
+                // In place, through a copy, with a cycle, with what is moved twice, and nothing at all.
+                &[dv_phi, dv_bg, dv_ba, own, phi_bg],
+                &couplings,
+                &[dv_ba, back, own],
+                &[own, own],
+                &[],
+            ];
+            for couplings in orders {
+                let mut phi = Dense::identity();
+                for c in couplings {
+                    let mut view = phi.fixed_view_mut::<3, 3>(3 * c.row, 3 * c.col);
+                    view += c.block;
+                }
+                let mut p = some_covariance(seed);
+                p.propagate(couplings);
+                prop_assert!((dense(&p) - phi * before * phi.transpose()).norm() < 1e-12);
+                prop_assert_eq!(dense(&p), dense(&p).transpose());
             }
-            p.propagate(&couplings);
-            prop_assert!((dense(&p) - phi * before * phi.transpose()).norm() < 1e-12);
-            prop_assert_eq!(dense(&p), dense(&p).transpose());
         }
 
         #[test]
@@ -258,6 +423,23 @@ mod tests {
                 prop_assert!((gain.column[i / 3][i % 3] - expected_gain[i]).abs() < 1e-12);
             }
             prop_assert!((gain.innovation_var - s).abs() < 1e-12);
+            prop_assert!(p.is_sound());
+        }
+
+        #[test]
+        fn three_components_at_once_are_three_one_by_one(seed in 0..1000_u32, measured in 0..4_usize, r in 1e-4..10.0_f64) {
+            let mut p = some_covariance(seed);
+            let mut one_by_one = p;
+            let gains = p.update_block(measured, r);
+            for (axis, gain) in gains.iter().enumerate() {
+                let expected = one_by_one.update(measured, axis, r);
+                prop_assert!((gain.innovation_var - expected.innovation_var).abs() < 1e-12);
+                for (part, expected) in gain.column.iter().zip(&expected.column) {
+                    prop_assert!((part - expected).norm() < 1e-12);
+                }
+            }
+            prop_assert!((dense(&p) - dense(&one_by_one)).norm() < 1e-11);
+            prop_assert_eq!(dense(&p), dense(&p).transpose());
             prop_assert!(p.is_sound());
         }
 

@@ -253,19 +253,10 @@ impl<T: Real> Interval<T> {
         self.dt += dt;
     }
 
+    /// In the order in which [`Covariance::propagate`] can do without a copy.
     fn couplings(&self, earth: &Earth<T>) -> [Coupling<T>; 5] {
         let earth_turn = earth.w_ie_n() * self.dt;
         [
-            Coupling {
-                row: PHI,
-                col: PHI,
-                block: -earth_turn.skew(),
-            },
-            Coupling {
-                row: PHI,
-                col: BG,
-                block: -self.turned,
-            },
             Coupling {
                 row: DV,
                 col: PHI,
@@ -280,6 +271,16 @@ impl<T: Real> Interval<T> {
                 row: DV,
                 col: BA,
                 block: self.turned,
+            },
+            Coupling {
+                row: PHI,
+                col: PHI,
+                block: -earth_turn.skew(),
+            },
+            Coupling {
+                row: PHI,
+                col: BG,
+                block: -self.turned,
             },
         ]
     }
@@ -406,11 +407,11 @@ impl<T: Real> FineFilter<T> {
         let velocity = self.strapdown.v_n - Vec3::from_vector(expected[DV]);
         let [q_phi, q_cross, q_dv, q_bg] = self.interval.noise(&self.config.noise, &self.earth);
 
-        let mut predicted = self.covariance;
-        predicted.propagate(&couplings);
         let mut fading = T::one();
         if let Method::StrongTracking(policy) = &self.config.method {
-            let m = predicted.block(DV, DV);
+            let mut unfaded = self.covariance;
+            unfaded.propagate(&couplings);
+            let m = unfaded.block(DV, DV);
             let mut factors = self.fading.factors(policy, &velocity.vector(), &m, &q_dv, r);
             for (k, block) in factors.iter_mut().enumerate() {
                 let room = self.prior[k].component_div(&self.covariance.variances(k));
@@ -419,26 +420,24 @@ impl<T: Real> FineFilter<T> {
             fading = factors.iter().fold(T::one(), |most, f| most.max(f.max()));
             if fading > T::one() {
                 self.covariance.fade(&factors);
-                predicted = self.covariance;
-                predicted.propagate(&couplings);
             }
         }
-        predicted.add(PHI, PHI, &q_phi);
-        predicted.add(PHI, DV, &q_cross.transpose());
-        predicted.add(DV, DV, &q_dv);
-        predicted.add(BG, BG, &q_bg);
+        self.covariance.propagate(&couplings);
+        self.covariance.add(PHI, PHI, &q_phi);
+        self.covariance.add(PHI, DV, &q_cross.transpose());
+        self.covariance.add(DV, DV, &q_dv);
+        self.covariance.add(BG, BG, &q_bg);
 
         let mut normalised_squared = T::zero();
         let mut error = expected;
-        for axis in 0..3 {
-            let gain = predicted.update(DV, axis, r);
+        let gains = self.covariance.update_block(DV, r);
+        for (axis, gain) in gains.iter().enumerate() {
             let residual = self.strapdown.v_n.vector()[axis] - error[DV][axis];
             normalised_squared += residual * residual / gain.innovation_var;
             for (part, column) in error.iter_mut().zip(&gain.column) {
                 *part += column * residual;
             }
         }
-        self.covariance = predicted;
         self.interval = Interval::new();
         self.error = error;
         if self.closed {
