@@ -275,10 +275,10 @@ impl<T: Real, const B: usize> Covariance<T, B> {
         let r = at_least(r, p_kk);
         let innovation_var = p_kk + r;
         let inverse = T::one() / innovation_var;
-        let gain = p_h.map(|part| part * inverse);
-        for i in 0..B {
-            for j in i..B {
-                subtract_outer(&mut self.upper[i][j], &gain[i], &p_h[j]);
+        let column = p_h.map(|part| part * inverse);
+        for (i, gain) in column.iter().enumerate() {
+            for (j, part) in p_h.iter().enumerate().skip(i) {
+                subtract_outer(&mut self.upper[i][j], gain, part);
             }
             symmetrise(&mut self.upper[i][i]);
         }
@@ -292,10 +292,7 @@ impl<T: Real, const B: usize> Covariance<T, B> {
                 self.upper[measured][i].set_row(axis, &part.transpose());
             }
         }
-        Gain {
-            column: gain,
-            innovation_var,
-        }
+        Gain { column, innovation_var }
     }
 }
 
