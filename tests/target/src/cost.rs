@@ -92,8 +92,9 @@ pub fn process_noise() -> [f32; BLOCKS] {
     [3.4e-11, 1e-8, 1e-14, 1e-14]
 }
 
-/// Variance of a velocity measurement, (m/s)².
-pub const R: f32 = 1e-8;
+/// Variance of a velocity measurement, (m/s)². Wide enough that even the first one stays below
+/// [`nav::covariance::LARGEST_CUT`]: dense filters know no such limit, and are to do the same.
+pub const R: f32 = 1e-5;
 
 /// One prediction and one measurement of three components with nav's covariance.
 pub fn sparse_step(p: &mut Covariance<f32, BLOCKS>, couplings: &[Coupling<f32>; 5], q: &[f32; BLOCKS]) {
