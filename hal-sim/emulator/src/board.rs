@@ -1,0 +1,101 @@
+//! The board: the part, its crystal, and what hangs on its wires. The same as `firmware/src/board.rs`, seen from the
+//! other side; a test of the whole image tells when they part.
+
+use std::num::{NonZeroU32, NonZeroU64};
+
+use rigless::cpu;
+use rigless::machine::{self, Target, armv7m};
+use rigless::mcu::{Mcu, Operate as _};
+use rigless::snapshot::Store;
+use rigless::soc::Error;
+
+use crate::part::{BridgeTimer, Part, Pin};
+
+/// The core's clock in its registers' eyes, Hz.
+pub const CORE_HZ: u64 = 168_000_000;
+/// Instructions in a second of virtual time. Each takes the same time, waiting states, branches and divisions included:
+/// on average one in 1.5 clocks, which is on the slow side for code that runs from flash with its cache.
+pub const INSTRUCTIONS_PER_SECOND: u64 = 110_000_000;
+/// Crystal, or the clock that the debugger's controller puts in its place, Hz.
+pub const CRYSTAL_HZ: u64 = 8_000_000;
+/// Clock of the IMU's bus, Hz.
+pub const IMU_HZ: u32 = 5_250_000;
+
+/// The IMU's SPI.
+pub(crate) const IMU_SPI: usize = 1;
+/// The encoder's SPI.
+pub(crate) const ENCODER_SPI: usize = 3;
+/// The serial port's USART.
+pub(crate) const SERIAL: usize = 2;
+pub(crate) const IMU_SELECT: Pin = Pin::new('A', 4);
+pub(crate) const ENCODER_SELECT: Pin = Pin::new('A', 15);
+pub(crate) const IMU_READY: Pin = Pin::new('C', 0);
+pub(crate) const MOTOR_FAULT: Pin = Pin::new('E', 15);
+pub(crate) const MOTOR_ENABLE: Pin = Pin::new('F', 15);
+pub(crate) const HOME_BELOW: Pin = Pin::new('F', 13);
+pub(crate) const HOME_ABOVE: Pin = Pin::new('F', 14);
+
+/// The board.
+#[derive(Debug)]
+pub struct Board {
+    /// Its part.
+    pub part: Part,
+}
+
+impl Board {
+    /// A board with nothing on its buses.
+    ///
+    /// # Errors
+    /// Where the part does not assemble.
+    pub fn new(timer: BridgeTimer) -> Result<Self, Error> {
+        Ok(Self {
+            part: Part::new(CRYSTAL_HZ, timer)?,
+        })
+    }
+}
+
+// Nothing here is ever saved.
+impl Store for Board {}
+
+impl machine::Board for Board {
+    fn name(&self) -> &'static str {
+        "rotary-north"
+    }
+
+    fn target_names(&self) -> Vec<&'static str> {
+        vec!["stm32f427"]
+    }
+
+    fn mcu(&mut self, target: usize) -> Option<&mut dyn Mcu> {
+        (target == 0).then_some(&mut self.part)
+    }
+
+    fn targets(&mut self) -> Vec<Target<'_>> {
+        const fn rate(hz: u64) -> NonZeroU64 {
+            match NonZeroU64::new(hz) {
+                Some(hz) => hz,
+                None => panic!("a clock that stands"),
+            }
+        }
+        const REFERENCE_DIVIDER: NonZeroU32 = match NonZeroU32::new(8) {
+            Some(divider) => divider,
+            None => NonZeroU32::MIN,
+        };
+        let lines = NonZeroU32::new(u32::from(self.part.cpu().interrupt_lines)).unwrap_or(NonZeroU32::MIN);
+        let core = armv7m::Core {
+            variant: armv7m::Variant::M4,
+            clock_hz: const { rate(CORE_HZ) },
+            interrupt_lines: lines,
+            priority_bits: 4,
+            refclk_divider: REFERENCE_DIVIDER,
+            instructions_per_second: const { rate(INSTRUCTIONS_PER_SECOND) },
+            boot: "flash",
+        }
+        .spec_with_parts(
+            &cpu::armv7m::windows(self.part.bus()),
+            armv7m::Fpu::FpV4Sp,
+            armv7m::MpuRegions::Eight,
+        );
+        vec![Target::new("stm32f427", &mut self.part, core)]
+    }
+}

@@ -1,0 +1,135 @@
+//! What comes over the serial line: sentences of NMEA 0183, cut from the bytes and checked.
+
+use serde::Serialize;
+
+/// Longest sentence, CR LF included, bytes.
+const LONGEST: usize = 82;
+/// A pause that ends a burst, ns: ten characters at 115200 baud.
+const PAUSE_NS: u64 = 870_000;
+
+/// A sentence whose check sum is right.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Sentence {
+    /// When the burst that it came with began, ns.
+    pub burst_ns: u64,
+    /// When it had come in full, ns.
+    pub t_ns: u64,
+    /// Its text, without CR LF.
+    pub text: String,
+}
+
+/// What came over the line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Received {
+    /// Bytes.
+    pub bytes: u64,
+    /// Sentences whose check sum is right.
+    pub sentences: u64,
+    /// Lines that are no such sentence.
+    pub others: u64,
+}
+
+/// Cuts bytes into sentences.
+#[derive(Debug, Default)]
+pub struct Splitter {
+    line: Vec<u8>,
+    last_ns: Option<u64>,
+    burst_ns: u64,
+    received: Received,
+}
+
+impl Splitter {
+    /// Takes a byte that came at `t_ns`; gives the sentence that ends with it.
+    pub fn push(&mut self, t_ns: u64, byte: u8) -> Option<Sentence> {
+        if self.last_ns.is_none_or(|last| t_ns > last + PAUSE_NS) {
+            self.burst_ns = t_ns;
+        }
+        self.last_ns = Some(t_ns);
+        self.received.bytes += 1;
+        if byte != b'\n' {
+            self.line.push(byte);
+            return None;
+        }
+        let line = core::mem::take(&mut self.line);
+        if line == b"\r" || line.is_empty() {
+            return None;
+        }
+        let text = checked(&line);
+        match text {
+            Some(_) => self.received.sentences += 1,
+            None => self.received.others += 1,
+        }
+        text.map(|text| Sentence {
+            burst_ns: self.burst_ns,
+            t_ns,
+            text,
+        })
+    }
+
+    /// Totals so far.
+    pub fn received(&self) -> Received {
+        self.received
+    }
+}
+
+/// The text of a line that is a sentence, its CR included.
+fn checked(line: &[u8]) -> Option<String> {
+    let text = core::str::from_utf8(line).ok()?.strip_suffix('\r')?;
+    let (body, sum) = text.strip_prefix('$')?.split_once('*')?;
+    let expected = body.bytes().fold(0, |sum, byte| sum ^ byte);
+    let found = u8::from_str_radix(sum, 16).ok()?;
+    (sum.len() == 2 && found == expected && line.len() < LONGEST).then(|| text.to_owned())
+}
+
+/// Heading, pitch, roll and their 1σ, degrees, of a `$PASHR` that has them.
+pub fn pashr(sentence: &str) -> Option<([f64; 3], [f64; 3])> {
+    let fields: Vec<&str> = sentence.split(['*', ',']).collect();
+    if fields.first() != Some(&"$PASHR") {
+        return None;
+    }
+    let number = |k: usize| fields.get(k)?.parse::<f64>().ok();
+    Some((
+        [number(2)?, number(5)?, number(4)?],
+        [number(9)?, number(8)?, number(7)?],
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn push(splitter: &mut Splitter, from_ns: u64, text: &str) -> Vec<Sentence> {
+        let times = (0..).map(|k| from_ns + k * 87_000);
+        times
+            .zip(text.bytes())
+            .filter_map(|(t, byte)| splitter.push(t, byte))
+            .collect()
+    }
+
+    #[test]
+    fn sentences_are_cut_and_checked() {
+        let mut splitter = Splitter::default();
+        let found = push(
+            &mut splitter,
+            1_000_000_000,
+            "noise\r\n$HEHDT,274.07,T*19\r\n$HEHDT,274.08,T*19\r\n",
+        );
+        assert_eq!(found.len(), 1);
+        assert_eq!(
+            (found[0].text.as_str(), found[0].burst_ns),
+            ("$HEHDT,274.07,T*19", 1_000_000_000)
+        );
+        let found = push(&mut splitter, 2_000_000_000, "\r\n$HETHS,,V*14\r\n");
+        assert_eq!(found[0].burst_ns, 2_000_000_000);
+        let received = splitter.received();
+        assert_eq!((received.sentences, received.others), (2, 2));
+    }
+
+    #[test]
+    fn an_attitude_is_read() {
+        let text = "$PASHR,,305.30,T,+0.05,-0.13,,0.002,0.001,0.350,0,1*10";
+        assert_eq!(pashr(text), Some(([305.3, -0.13, 0.05], [0.35, 0.001, 0.002])));
+        assert_eq!(pashr("$PASHR,,,,,,,,,,,0,0*74"), None);
+        assert_eq!(pashr("$HETHS,77.52,E*2E"), None);
+    }
+}
