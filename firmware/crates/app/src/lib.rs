@@ -18,6 +18,7 @@
 //! | [`log`] | typed events |
 //! | [`nmea`] | sentences of NMEA 0183, pure |
 //! | [`output`] | estimates and status → sentences on a serial line |
+//! | [`console`] | commands on a serial line, the parser, pure |
 //! | [`rotor`] | the motor's control, pure |
 //!
 //! # The tasks
@@ -35,6 +36,7 @@ extern crate std;
 
 pub mod alignment;
 pub mod command;
+pub mod console;
 pub mod fault;
 pub mod hal;
 pub mod log;

@@ -1,4 +1,4 @@
-//! The serial line's output task: estimates and status in, sentences of [`nmea`](crate::nmea) out.
+//! The serial line's output task: estimates and status in, sentences of [`nmea`] out.
 //!
 //! A cycle is THS, HDT, ROT and PASHR in one write, with the status sentence once a second and at every change of
 //! mode. It begins with an estimate: of 20 a second every other one starts a cycle, so that a heading is no older than
