@@ -37,14 +37,17 @@ type Imu = drivers::icm42688::Icm42688<Device, Delay>;
 type Encoder = MagneticEncoder<Device>;
 type Motor = Drive<Output<'static>, Flex<'static>, Bridge, ChangeOver<Input<'static>, Input<'static>>>;
 
-static SHARED: Shared<CriticalSectionRawMutex> = Shared::new();
+type Bus = Shared<CriticalSectionRawMutex>;
+
+// Made at the start and not by the linker: a few bytes that are not zero would put all 2.8 kB of it into flash.
+static SHARED: StaticCell<Bus> = StaticCell::new();
 static PORT: Port<CriticalSectionRawMutex> = Port::new();
 static ROTOR: StaticCell<Rotor> = StaticCell::new();
 static ALIGNER: StaticCell<Aligner<f32, QUEUE>> = StaticCell::new();
 
 /// Starts every task. Panics where the parameters are refused: nothing has moved then.
 pub fn start(spawner: Spawner, mut board: Board) {
-    let (rotor, aligner) = (rotor(), aligner());
+    let (shared, rotor, aligner) = (shared(), rotor(), aligner());
     let encoder = MagneticEncoder {
         driver: Mt6835::new(board.encoder),
         config: params::ENCODER,
@@ -58,12 +61,12 @@ pub fn start(spawner: Spawner, mut board: Board) {
 
     board.watchdog.start();
     let (Ok(motor), Ok(sampling), Ok(alignment), Ok(supervisor), Ok(output), Ok(report)) = (
-        motor(encoder, drive, rotor),
-        sampling(imu, board.imu_ready),
-        alignment(aligner),
-        supervisor(board.watchdog),
-        output(board.serial_tx),
-        report(),
+        motor(shared, encoder, drive, rotor),
+        sampling(shared, imu, board.imu_ready),
+        alignment(shared, aligner),
+        supervisor(shared, board.watchdog),
+        output(shared, board.serial_tx),
+        report(shared),
     ) else {
         defmt::unreachable!("each task is spawned once")
     };
@@ -73,6 +76,11 @@ pub fn start(spawner: Spawner, mut board: Board) {
     spawner.spawn(supervisor);
     spawner.spawn(output);
     spawner.spawn(report);
+}
+
+#[inline(never)]
+fn shared() -> &'static Bus {
+    SHARED.init_with(Shared::new)
 }
 
 fn rotor() -> &'static mut Rotor {
@@ -92,34 +100,34 @@ fn aligner() -> &'static mut Aligner<f32, QUEUE> {
 }
 
 #[embassy_executor::task]
-async fn motor(encoder: Encoder, drive: Motor, rotor: &'static mut Rotor) -> ! {
-    motor::run(&SHARED, encoder, drive, rotor, params::correction()).await
+async fn motor(shared: &'static Bus, encoder: Encoder, drive: Motor, rotor: &'static mut Rotor) -> ! {
+    motor::run(shared, encoder, drive, rotor, params::correction()).await
 }
 
 #[embassy_executor::task]
-async fn sampling(imu: Imu, edges: DataReady) -> ! {
-    sampling::run(&SHARED, imu, params::imu(), edges, params::sampling()).await
+async fn sampling(shared: &'static Bus, imu: Imu, edges: DataReady) -> ! {
+    sampling::run(shared, imu, params::imu(), edges, params::sampling()).await
 }
 
 #[embassy_executor::task]
-async fn alignment(aligner: &'static mut Aligner<f32, QUEUE>) -> ! {
-    alignment::run(&SHARED, aligner, params::alignment()).await
+async fn alignment(shared: &'static Bus, aligner: &'static mut Aligner<f32, QUEUE>) -> ! {
+    alignment::run(shared, aligner, params::alignment()).await
 }
 
 #[embassy_executor::task]
-async fn supervisor(watchdog: Iwdg) -> ! {
-    supervisor::run(&SHARED, MotorCutoff, watchdog, params::supervisor()).await
+async fn supervisor(shared: &'static Bus, watchdog: Iwdg) -> ! {
+    supervisor::run(shared, MotorCutoff, watchdog, params::supervisor()).await
 }
 
 #[embassy_executor::task]
-async fn output(tx: SerialTx) -> ! {
-    output::run(&SHARED, &PORT, tx, params::output()).await
+async fn output(shared: &'static Bus, tx: SerialTx) -> ! {
+    output::run(shared, &PORT, tx, params::output()).await
 }
 
 /// The estimate, once a second, for whoever reads the log and not the serial port.
 #[embassy_executor::task]
-async fn report() {
-    let Some(mut navigation) = SHARED.navigation.receiver() else {
+async fn report(shared: &'static Bus) {
+    let Some(mut navigation) = shared.navigation.receiver() else {
         defmt::unreachable!("a watch has room for its first reader")
     };
     let deg = |x: f32| x / DEG as f32;

@@ -172,7 +172,9 @@ pub fn status(report: &Report) -> Sentence {
     line.comma();
     line.number(seconds(report.up_us), 0);
     line.push(b'.');
-    line.digits((report.up_us % 1_000_000) as u32 / 10_000, 2);
+    let hundredths = (report.up_us % 1_000_000) as u32 / 10_000;
+    line.push(b'0' + (hundredths / 10) as u8);
+    line.push(b'0' + (hundredths % 10) as u8);
     line.comma();
     if let Some((mode, since_us)) = report.mode {
         line.text(mode.as_str());
@@ -299,7 +301,7 @@ impl Line {
 
     /// `scaled`/10^`decimals`.
     #[inline(never)]
-    fn fixed(&mut self, scaled: i32, decimals: u32, plus: bool) {
+    fn fixed(&mut self, scaled: i32, decimals: usize, plus: bool) {
         if scaled < 0 {
             self.push(b'-');
         } else if plus {
@@ -308,26 +310,21 @@ impl Line {
         self.number(scaled.unsigned_abs(), decimals);
     }
 
-    /// The same without a sign.
+    /// The same without a sign. Fewer decimals than ten.
     #[inline(never)]
-    fn number(&mut self, scaled: u32, decimals: u32) {
-        let (whole, fraction) = match decimals {
-            0 => (scaled, 0),
-            _ => (scaled / 10_u32.pow(decimals), scaled % 10_u32.pow(decimals)),
-        };
-        self.digits(whole, whole.checked_ilog10().unwrap_or_default() + 1);
-        if decimals > 0 {
-            self.push(b'.');
-            self.digits(fraction, decimals);
+    fn number(&mut self, scaled: u32, decimals: usize) {
+        // The ten digits of 2³², last one first.
+        let mut digits = Vec::<u8, 10>::new();
+        let mut rest = scaled;
+        while rest > 0 || digits.len() <= decimals {
+            let _ = digits.push(b'0' + (rest % 10) as u8);
+            rest /= 10;
         }
-    }
-
-    /// The last `count` digits of a number.
-    #[inline(never)]
-    fn digits(&mut self, number: u32, count: u32) {
-        for place in (0..count).rev() {
-            let digit = number / 10_u32.pow(place) % 10;
-            self.push(b'0' + digit as u8);
+        while let Some(digit) = digits.pop() {
+            self.push(digit);
+            if digits.len() == decimals && decimals > 0 {
+                self.push(b'.');
+            }
         }
     }
 
@@ -336,9 +333,9 @@ impl Line {
     fn end(mut self) -> Sentence {
         let sum = self.0.iter().skip(1).fold(0, |sum, byte| sum ^ byte);
         let hex = |nibble: u8| nibble + if nibble < 10 { b'0' } else { b'A' - 10 };
-        for byte in [b'*', hex(sum >> 4), hex(sum & 15), b'\r', b'\n'] {
-            let _ = self.0.push(byte);
-        }
+        let _ = self
+            .0
+            .extend_from_slice(&[b'*', hex(sum >> 4), hex(sum & 15), b'\r', b'\n']);
         Sentence(self.0)
     }
 }
