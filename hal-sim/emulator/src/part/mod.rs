@@ -5,6 +5,7 @@
 //! | [`exti`] | the part has no external interrupts there |
 //! | [`pwm`] | a TIM1 that wakes nobody, in place of one that wakes 160 000 times a second |
 //! | [`Part::correct`] | a software update of a stopped timer sets capture flags that it must not set |
+//! | [`Part::power`] | the part takes no power-on reset there |
 //!
 //! A board drives the part's pins from outside; the levels outlive a reset, which rebuilds the part.
 
@@ -95,15 +96,6 @@ pub struct Drive {
     pub on: bool,
 }
 
-/// A reset of the part.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PartReset {
-    /// When, ns.
-    pub at_ns: u64,
-    /// Why.
-    pub cause: ResetCause,
-}
-
 /// The part.
 #[derive(Debug)]
 pub struct Part {
@@ -114,7 +106,14 @@ pub struct Part {
     tim1_slot: usize,
     driven: BTreeMap<Pin, Level>,
     break_level: Level,
-    resets: Vec<PartReset>,
+}
+
+/// rigless's part with its supply on.
+fn powered(hse_hz: u64) -> Result<Stm32f427, Error> {
+    let mut inner = Stm32f427::new()?;
+    inner.rcc.attach_crystals(hse_hz, 0);
+    inner.set_supply(SUPPLY_MV);
+    Ok(inner)
 }
 
 impl Part {
@@ -123,10 +122,8 @@ impl Part {
     /// # Errors
     /// Where the part does not assemble, which is a mistake in a model.
     pub fn new(hse_hz: u64, timer: BridgeTimer) -> Result<Self, Error> {
-        let mut inner = Stm32f427::new()?;
-        inner.rcc.attach_crystals(hse_hz, 0);
-        inner.set_supply(SUPPLY_MV);
-        let part = Self {
+        let inner = powered(hse_hz)?;
+        let mut part = Self {
             exti: Exti::default(),
             exti_slot: inner.bus().slot("EXTI")?,
             quiet: (timer == BridgeTimer::Quiet).then(QuietTim1::default),
@@ -134,9 +131,7 @@ impl Part {
             inner,
             driven: BTreeMap::new(),
             break_level: Level::Low,
-            resets: Vec::new(),
         };
-        let mut part = part;
         part.check()?;
         Ok(part)
     }
@@ -266,9 +261,18 @@ impl Part {
         }
     }
 
-    /// Its resets in order; one at power-on is among them, and one when the supply goes.
-    pub fn resets(&self) -> &[PartReset] {
-        &self.resets
+    /// A power-on reset, which rigless 0.4.0 refuses on this part: a new part with the old one's chips on its buses.
+    fn power_on(&mut self) {
+        let (hse_hz, _) = self.inner.rcc.crystals();
+        // What has assembled once does so again.
+        let Ok(mut fresh) = powered(hse_hz) else { return };
+        for (fresh, old) in fresh.spi.iter_mut().zip(&mut self.inner.spi) {
+            fresh.inherit(old);
+        }
+        for (fresh, old) in fresh.usart.iter_mut().zip(&mut self.inner.usart) {
+            fresh.inherit(old);
+        }
+        self.inner = fresh;
     }
 }
 
@@ -282,8 +286,10 @@ impl Mcu for Part {
     }
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
-        self.resets.push(PartReset { at_ns: at.0, cause });
-        self.inner.reset(at, cause);
+        match cause {
+            ResetCause::PowerOn => self.power_on(),
+            _ => self.inner.reset(at, cause),
+        }
         self.exti = Exti::default();
         if self.quiet.is_some() {
             self.quiet = Some(QuietTim1::default());

@@ -1,0 +1,230 @@
+//! The release image on the emulated part: boot, homing, coarse alignment; faults, resets, power cuts; one setup, one
+//! log; what it costs.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use assert_cmd::Command;
+use emulator::image::Image;
+use emulator::log::Line;
+use emulator::nmea::Sentence;
+use emulator::outcome::Outcome;
+use emulator::part::BridgeTimer;
+use emulator::run::{self, Observer, PowerCut, Setup};
+use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
+
+/// The release image.
+fn image() -> Image {
+    let path = Image::release();
+    Image::read(&path).unwrap_or_else(|e| panic!("{e}: `cargo fw` builds the image"))
+}
+
+/// The paper's scenario.
+fn paper() -> Scenario {
+    Scenario::builtin("paper-sim").unwrap()
+}
+
+/// The same with a fault.
+fn broken(kind: FaultKind, at_s: f64, for_s: f64) -> Scenario {
+    let mut scenario = paper();
+    scenario.fault.push(FaultAt {
+        at_s,
+        for_s: Some(for_s),
+        kind,
+    });
+    scenario
+}
+
+/// Log and serial line.
+#[derive(Debug, Default, PartialEq)]
+struct Kept {
+    /// Lines of the log.
+    lines: Vec<String>,
+    /// Sentences.
+    sentences: Vec<String>,
+}
+
+impl Observer for Kept {
+    fn line(&mut self, line: &Line) {
+        self.lines.push(line.to_string());
+    }
+
+    fn sentence(&mut self, sentence: &Sentence) {
+        self.sentences.push(sentence.text.clone());
+    }
+}
+
+/// Runs a setup and keeps what it says. Whatever is run, the emulator has no gaps and the cable is sound.
+fn run(setup: &Setup) -> (Outcome, Kept) {
+    let (outcome, kept) = run::run(&image(), setup, Kept::default()).unwrap();
+    assert!(outcome.gaps.is_empty(), "{:?}", outcome.gaps);
+    assert!(!outcome.wound_past, "{:?}", outcome.travel_deg);
+    assert!(!outcome.driven_after_reset, "driven after a reset");
+    assert_eq!(outcome.stall_violations, 0, "the IMU was not given its pause");
+    assert_eq!(outcome.serial.others, 0, "a line that is no sentence");
+    (outcome, kept)
+}
+
+/// Until 80 s: aligned with a σ below a degree, in time for the gate.
+#[test]
+fn the_image_homes_and_aligns() {
+    let (outcome, kept) = run(&Setup::new(paper(), 1, 80.0));
+    let modes: Vec<&str> = outcome.modes.iter().map(|at| at.mode).collect();
+    assert_eq!(modes, ["self-test", "homing", "coarse", "fine", "aligned"]);
+    assert!(
+        outcome.faults.is_empty() && outcome.resets.is_empty(),
+        "{:?}",
+        outcome.faults
+    );
+
+    let last = outcome.last.unwrap();
+    assert!(last.t_s > 78.0, "{}", last.t_s);
+    assert!(last.sigmas().abs() < 3.0, "{last:?}");
+    assert!(last.heading_sd_deg < 1.0, "{last:?}");
+    assert!(
+        last.error.pitch_deg.abs() < 0.05 && last.error.roll_deg.abs() < 0.05,
+        "{last:?}"
+    );
+
+    // What goes over the line is the same heading: no further off than a tenth of a second of swing.
+    let pashr = kept.sentences.iter().rev().find_map(|text| emulator::nmea::pashr(text));
+    let ([heading, _, _], [sd, _, _]) = pashr.unwrap();
+    let turn = (heading - last.reading.heading_deg + 540.0).rem_euclid(360.0) - 180.0;
+    assert!(
+        turn.abs() < 12.0 && (sd - last.heading_sd_deg).abs() < 0.1,
+        "{heading} {sd} {last:?}"
+    );
+
+    let cost = &outcome.cost;
+    for row in &cost.load {
+        println!(
+            "{:<10} {:.2} %, busiest {:.2} %",
+            row.mode,
+            100.0 * row.share,
+            100.0 * row.peak
+        );
+        assert!(row.share < 0.1, "{row:?}");
+        assert!(row.peak < 0.2, "{row:?}");
+    }
+    println!("stack {} of {} bytes", cost.stack.used, cost.stack.size);
+    assert!(cost.stack.used > 1000 && cost.stack.margin() > 0.5, "{:?}", cost.stack);
+    assert!(cost.footprint.static_ram <= 96 * 1024, "{}", cost.footprint.static_ram);
+}
+
+/// Among samples that come too late and faults that come and go.
+#[test]
+fn one_setup_one_log() {
+    let setup = || {
+        let mut scenario = broken(FaultKind::ImuCrc, 4.0, 0.5);
+        scenario.buses.edge_loss = 0.01;
+        Setup {
+            power_cuts: vec![PowerCut { at_s: 9.0, for_s: 0.3 }],
+            ..Setup::new(scenario, 5, 14.0)
+        }
+    };
+    let ((a, said_a), (b, said_b)) = (run(&setup()), run(&setup()));
+    assert!(said_a.lines.len() > 10 && said_a.sentences.len() > 200);
+    assert_eq!(said_a, said_b);
+    assert_eq!(a, b);
+    assert_ne!(a.trace, run(&Setup::new(paper(), 6, 14.0)).0.trace);
+}
+
+/// The bridge's timer with every edge of its waveforms does what the quiet one does.
+#[test]
+fn the_full_timer_moves_the_motor_alike() {
+    let with = |timer| {
+        let setup = Setup {
+            timer,
+            ..Setup::new(paper(), 1, 12.0)
+        };
+        run(&setup)
+    };
+    let ((quiet, _), (full, _)) = (with(BridgeTimer::Quiet), with(BridgeTimer::Full));
+    assert_eq!(quiet.state, full.state);
+    assert_eq!(quiet.modes, full.modes);
+    for (quiet, full) in quiet.travel_deg.iter().zip(full.travel_deg) {
+        assert!((quiet - full).abs() < 0.01, "{quiet} {full}");
+    }
+}
+
+#[test]
+fn a_fault_switches_the_motor_off() {
+    for (kind, name) in [(FaultKind::EncoderSilent, "Encoder"), (FaultKind::Driver, "Driver")] {
+        let (outcome, kept) = run(&Setup::new(broken(kind, 16.0, 0.5), 1, 18.0));
+        let fault = outcome
+            .faults
+            .first()
+            .unwrap_or_else(|| panic!("{kind:?}: {:?}", kept.lines));
+        assert!(fault.text.contains(name), "{kind:?} was found as {}", fault.text);
+        assert!(
+            (16.0..16.1).contains(&fault.t_s),
+            "{kind:?} was found at {} s",
+            fault.t_s
+        );
+        assert!(fault.motor_off, "{kind:?}");
+    }
+}
+
+/// A core that stands still is reset by the watchdog, and the unit comes up again.
+#[test]
+fn a_hang_ends_with_the_watchdog() {
+    let (outcome, kept) = run(&Setup::new(broken(FaultKind::HangMotor, 16.0, 30.0), 1, 30.0));
+    assert_eq!(outcome.resets.len(), 1, "{:?}", outcome.resets);
+    let reset = &outcome.resets[0];
+    assert_eq!(reset.cause, "IWDG");
+    // 0.5 s from the last feeding, by a clock that is off by a few per cent.
+    assert!((16.3..16.6).contains(&reset.t_s), "{}", reset.t_s);
+    assert!(
+        kept.lines.iter().any(|line| line.ends_with("started by Watchdog")),
+        "{:?}",
+        kept.lines
+    );
+    assert_eq!(outcome.state, "coarse");
+}
+
+/// In mid-turn, near the end of the travel, while homing: the unit finds its turn again and the cable bears it.
+#[test]
+fn power_cuts_at_any_instant() {
+    for at_s in [3.3, 10.7, 20.15, 22.9] {
+        let setup = Setup {
+            power_cuts: vec![PowerCut { at_s, for_s: 0.7 }],
+            ..Setup::new(paper(), 1, at_s + 28.0)
+        };
+        let (outcome, _) = run(&setup);
+        assert_eq!(outcome.resets.len(), 1, "{:?}", outcome.resets);
+        assert_eq!(outcome.state, "coarse", "cut at {at_s} s: {:?}", outcome.modes);
+        assert!(outcome.travel_deg[0] > -15.0 && outcome.travel_deg[1] < 375.0);
+    }
+}
+
+#[test]
+fn memory_by_section_is_what_the_linker_says() {
+    let image = image();
+    let footprint = image.footprint();
+    let text = footprint
+        .sections
+        .iter()
+        .find(|section| section.name == ".text")
+        .unwrap();
+    assert!(text.loaded && text.size > 50_000);
+    let bss = footprint
+        .sections
+        .iter()
+        .find(|section| section.name == ".bss")
+        .unwrap();
+    assert!(!bss.loaded && bss.address >= 0x2000_0000);
+    assert!(footprint.flash > text.size && footprint.static_ram > bss.size);
+}
+
+#[test]
+fn the_command_tells_by_its_exit_code() {
+    let command = |args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_emulator"));
+        let output = command.args(args).output().unwrap();
+        (output.status.code(), String::from_utf8(output.stdout).unwrap())
+    };
+    let (code, text) = command(&["--seconds", "2"]);
+    assert_eq!(code, Some(1), "{text}");
+    assert!(text.contains("started by") && text.contains("not aligned") && text.contains("$HETHS,,V*14"));
+    assert_eq!(command(&["no such image"]).0, Some(2));
+    assert_eq!(command(&["--fault", "hunger@3"]).0, Some(2));
+    assert_eq!(command(&["--seconds", "-1"]).0, Some(2));
+}
