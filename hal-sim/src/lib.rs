@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Three levels, each slower and more real than the one before: the core fed with samples ([`simulate`]), the whole
-//! application on simulated buses ([`unit_sim`]), and the image on an emulated chip, which is not here yet.
+//! application on simulated buses ([`unit_sim`]), and the image on an emulated chip, in `emulator`, a crate of its own.
 //!
 //! Truth is closed-form in f64 and its increments are exact; errors are drawn from one seed; the core is
 //! the firmware's own, in f32. Frames, signs and names are those of [`frames`].

@@ -117,6 +117,8 @@ struct Compared {
     heading_sd_deg: f64,
     /// Emulated less simulated.
     heading_difference_deg: f64,
+    /// Of the core alone on the same samples, without devices, buses and tasks.
+    core_heading_error_deg: Option<f64>,
     aligning_at_s: Option<f64>,
 }
 
@@ -297,6 +299,7 @@ fn compare(setup: &Setup, outcome: &Outcome) -> Result<Option<Compared>, String>
         error: simulated.error,
         heading_sd_deg: simulated.reading.sd.heading_deg,
         heading_difference_deg: last.error.heading_deg - simulated.error.heading_deg,
+        core_heading_error_deg: result.core.map(|core| core.error.heading_deg),
         aligning_at_s: result.aligning_at_s,
     }))
 }

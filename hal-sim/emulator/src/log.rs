@@ -21,8 +21,6 @@ const READ: u64 = 40;
 pub struct Line {
     /// When it was read, virtual time since power-up, ns: a millisecond or less after it was written.
     pub t_ns: u64,
-    /// The unit's own stamp, µs since its clock was started.
-    pub stamp_us: Option<u64>,
     /// Its level, `host` where the line is the emulator's own.
     pub level: &'static str,
     /// Its text.
@@ -97,7 +95,6 @@ impl Reader {
                 Err(DecodeError::UnexpectedEof) => return lines,
                 Err(DecodeError::Malformed) => Line {
                     t_ns,
-                    stamp_us: None,
                     level: "host",
                     text: "a frame of the log is damaged".to_owned(),
                 },
@@ -108,11 +105,8 @@ impl Reader {
 }
 
 fn line(frame: &Frame<'_>, t_ns: u64) -> Line {
-    let stamp = frame.display_timestamp().map(|stamp| stamp.to_string());
-    let seconds = stamp.and_then(|stamp| stamp.trim().parse::<f64>().ok());
     Line {
         t_ns,
-        stamp_us: seconds.map(|s| (s * 1e6).round() as u64),
         level: frame.level().map_or("print", |level| level.as_str()),
         text: frame.display_message().to_string(),
     }

@@ -1,5 +1,6 @@
 //! What comes over the serial line: sentences of NMEA 0183, cut from the bytes and checked.
 
+use hal_sim::align::Angles;
 use serde::Serialize;
 
 /// Longest sentence, CR LF included, bytes.
@@ -81,17 +82,21 @@ fn checked(line: &[u8]) -> Option<String> {
     (sum.len() == 2 && found == expected && line.len() < LONGEST).then(|| text.to_owned())
 }
 
-/// Heading, pitch, roll and their 1σ, degrees, of a `$PASHR` that has them.
-pub fn pashr(sentence: &str) -> Option<([f64; 3], [f64; 3])> {
+/// Attitude and its 1σ of a `$PASHR` that has them.
+pub fn pashr(sentence: &str) -> Option<(Angles, Angles)> {
     let fields: Vec<&str> = sentence.split(['*', ',']).collect();
     if fields.first() != Some(&"$PASHR") {
         return None;
     }
     let number = |k: usize| fields.get(k)?.parse::<f64>().ok();
-    Some((
-        [number(2)?, number(5)?, number(4)?],
-        [number(9)?, number(8)?, number(7)?],
-    ))
+    let angles = |heading, pitch, roll| {
+        Some(Angles {
+            heading_deg: number(heading)?,
+            pitch_deg: number(pitch)?,
+            roll_deg: number(roll)?,
+        })
+    };
+    Some((angles(2, 5, 4)?, angles(9, 8, 7)?))
 }
 
 #[cfg(test)]
@@ -128,7 +133,15 @@ mod tests {
     #[test]
     fn an_attitude_is_read() {
         let text = "$PASHR,,305.30,T,+0.05,-0.13,,0.002,0.001,0.350,0,1*10";
-        assert_eq!(pashr(text), Some(([305.3, -0.13, 0.05], [0.35, 0.001, 0.002])));
+        let angles = |heading_deg, pitch_deg, roll_deg| Angles {
+            heading_deg,
+            pitch_deg,
+            roll_deg,
+        };
+        assert_eq!(
+            pashr(text),
+            Some((angles(305.3, -0.13, 0.05), angles(0.35, 0.001, 0.002)))
+        );
         assert_eq!(pashr("$PASHR,,,,,,,,,,,0,0*74"), None);
         assert_eq!(pashr("$HETHS,77.52,E*2E"), None);
     }

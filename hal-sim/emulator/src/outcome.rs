@@ -32,29 +32,15 @@ pub struct ResetSeen {
     pub cause: String,
 }
 
-/// Where an estimate was read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Source {
-    /// From the log.
-    Log,
-    /// From a `$PASHR`: hundredths of a degree.
-    Pashr,
-}
-
 /// An estimate of the unit beside the truth.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Moment {
-    /// The instant it holds for, s: the end of the last sample before it was told.
+    /// The instant it holds for, s: the end of the last sample before it was sent.
     pub t_s: f64,
-    /// Where it was read.
-    pub source: Source,
-    /// What the unit says.
+    /// What the unit says, by `$PASHR`: in hundredths of a degree.
     pub reading: Angles,
-    /// Its 1σ of the heading, degrees.
-    pub heading_sd_deg: f64,
-    /// Its 1σ of pitch and roll, degrees, where it says so.
-    pub tilt_sd_deg: Option<[f64; 2]>,
+    /// Its 1σ of that.
+    pub sd: Angles,
     /// True attitude of the housing.
     pub truth: Angles,
     /// `reading − truth`.
@@ -64,7 +50,7 @@ pub struct Moment {
 impl Moment {
     /// The heading's error in σ.
     pub fn sigmas(&self) -> f64 {
-        self.error.heading_deg / self.heading_sd_deg
+        self.error.heading_deg / self.sd.heading_deg
     }
 }
 

@@ -2,11 +2,16 @@
 
 use core::fmt::Write as _;
 
+use hal_sim::align::Angles;
+
 use crate::board::CORE_HZ;
-use crate::outcome::{Cost, Moment, Outcome, Source, Verdict};
+use crate::outcome::{Cost, Moment, Outcome, Verdict};
 
 /// kB as a linker counts them.
 const KB: f64 = 1024.0;
+
+/// One of three angles.
+type AngleOf = fn(&Angles) -> f64;
 
 /// The result of a run: attitude against truth, what happened, what was missing, what it cost.
 pub fn text(outcome: &Outcome) -> String {
@@ -72,41 +77,26 @@ pub fn verdict(verdict: Verdict) -> &'static str {
 }
 
 fn attitude(moment: &Moment) -> String {
-    let source = match moment.source {
-        Source::Log => "log",
-        Source::Pashr => "PASHR",
-    };
-    let (reading, truth, error) = (&moment.reading, &moment.truth, &moment.error);
+    let (reading, truth, error, sd) = (&moment.reading, &moment.truth, &moment.error, &moment.sd);
     let mut text = format!(
-        "{:<16}{:>12}{:>12}{:>12}{:>12}{:>12}   by the {source}, at {:.3} s\n",
+        "{:<16}{:>12}{:>12}{:>12}{:>12}{:>12}   at {:.3} s\n",
         "", "truth", "estimate", "error", "sd", "error/sd", moment.t_s
     );
-    let [pitch_sd, roll_sd] = moment.tilt_sd_deg.map_or([None; 2], |sd| sd.map(Some));
-    let rows = [
-        (
-            "heading (°)",
-            truth.heading_deg,
-            reading.heading_deg,
-            error.heading_deg,
-            Some(moment.heading_sd_deg),
-        ),
-        (
-            "pitch (°)",
-            truth.pitch_deg,
-            reading.pitch_deg,
-            error.pitch_deg,
-            pitch_sd,
-        ),
-        ("roll (°)", truth.roll_deg, reading.roll_deg, error.roll_deg, roll_sd),
+    let angles: [(&str, AngleOf); 3] = [
+        ("heading (°)", |a| a.heading_deg),
+        ("pitch (°)", |a| a.pitch_deg),
+        ("roll (°)", |a| a.roll_deg),
     ];
-    for (name, truth, reading, error, sd) in rows {
-        let _ = write!(text, "{name:<16}{truth:>12.4}{reading:>12.4}{error:>+12.4}");
-        match sd {
-            Some(sd) => {
-                let _ = writeln!(text, "{sd:>12.4}{:>+12.2}", error / sd);
-            }
-            None => text.push('\n'),
-        }
+    for (name, of) in angles {
+        let _ = writeln!(
+            text,
+            "{name:<16}{:>12.3}{:>12.3}{:>+12.3}{:>12.3}{:>+12.2}",
+            of(truth),
+            of(reading),
+            of(error),
+            of(sd),
+            of(error) / of(sd)
+        );
     }
     text
 }

@@ -53,7 +53,7 @@ use crate::image::Image;
 use crate::load::Meter;
 use crate::log::{Line, Reader};
 use crate::nmea::{self, Sentence, Splitter};
-use crate::outcome::{Cost, FaultSeen, Gaps, Moment, Outcome, ResetSeen, Source, Verdict};
+use crate::outcome::{Cost, FaultSeen, Gaps, Moment, Outcome, ResetSeen, Verdict};
 use crate::part::BridgeTimer;
 use crate::stack::Stack;
 
@@ -67,8 +67,6 @@ const READY_NS: u64 = 50_000;
 const KEPT: usize = 64;
 /// CR2 of the IMU's SPI, with the enables of its DMA requests.
 const IMU_SPI_CR2: u64 = 0x4001_3004;
-/// CR1 of the timer that is the unit's clock, TIM5.
-const CLOCK_CR1: u64 = 0x4000_0C00;
 /// RAM of the part: SRAM1 to 3, and CCM.
 const RAM: [(u64, u64); 2] = [(0x2000_0000, 192 * 1024), (0x1000_0000, 64 * 1024)];
 
@@ -178,8 +176,6 @@ struct World<O> {
     meter: Meter,
     stack: Stack,
     next_look_ns: u64,
-    /// When the unit's clock was started, ns; `None` while it stands.
-    clock_ns: Option<u64>,
     mode: String,
     modes: Vec<ModeAt>,
     seen: Vec<FaultSeen>,
@@ -241,7 +237,6 @@ impl<O: Observer> World<O> {
             meter: Meter::default(),
             stack,
             next_look_ns: LOOK_NS,
-            clock_ns: None,
             mode: "start".to_owned(),
             modes: Vec::new(),
             seen: Vec::new(),
@@ -428,7 +423,6 @@ impl<O: Observer> World<O> {
                 cause,
             });
             self.reader.restart();
-            self.clock_ns = None;
             self.silent = true;
             if core::mem::take(&mut self.hung) {
                 host.hold(false);
@@ -440,7 +434,6 @@ impl<O: Observer> World<O> {
     fn tell(&mut self, t_ns: u64, text: String) {
         self.line(Line {
             t_ns,
-            stamp_us: None,
             level: "host",
             text,
         });
@@ -463,47 +456,26 @@ impl<O: Observer> World<O> {
                 motor_off: !self.plant.driven(),
             });
         }
-        if let (Some(stamp_us), Some(clock_ns)) = (line.stamp_us, self.clock_ns)
-            && let Some((angles, sd)) = logged(&line.text)
-        {
-            self.estimate(clock_ns + stamp_us * 1000, Source::Log, angles, sd, None);
-        }
         self.observer.line(&line);
     }
 
     fn sentence(&mut self, sentence: &Sentence) {
         (sentence.t_ns, &sentence.text).hash(&mut self.hash);
-        // The log has more digits.
-        let told = self.last.is_some_and(|last| last.source == Source::Log);
-        if !told && let Some((angles, [heading_sd, pitch_sd, roll_sd])) = nmea::pashr(&sentence.text) {
-            self.estimate(
-                sentence.burst_ns,
-                Source::Pashr,
-                angles,
-                heading_sd,
-                Some([pitch_sd, roll_sd]),
-            );
+        if let Some((angles, sd)) = nmea::pashr(&sentence.text) {
+            self.estimate(sentence.burst_ns, angles, sd);
         }
         self.observer.sentence(sentence);
     }
 
-    /// An estimate that was told at `told_ns`.
-    fn estimate(&mut self, told_ns: u64, source: Source, angles: [f64; 3], heading_sd: f64, tilt_sd: Option<[f64; 2]>) {
-        let end = self.ends.iter().rev().find(|end| **end <= told_ns);
-        let t_s = end.copied().unwrap_or(told_ns) as f64 * 1e-9;
-        let [heading_deg, pitch_deg, roll_deg] = angles;
-        let reading = Angles {
-            heading_deg: heading_deg.rem_euclid(360.0),
-            pitch_deg,
-            roll_deg,
-        };
+    /// An estimate that the unit began to send at `sent_ns`: it does so as soon as it has one.
+    fn estimate(&mut self, sent_ns: u64, reading: Angles, sd: Angles) {
+        let end = self.ends.iter().rev().find(|end| **end <= sent_ns);
+        let t_s = end.copied().unwrap_or(sent_ns) as f64 * 1e-9;
         let truth = Angles::from_attitude(&self.truth.attitude(t_s));
         self.last = Some(Moment {
             t_s,
-            source,
             reading,
-            heading_sd_deg: heading_sd,
-            tilt_sd_deg: tilt_sd,
+            sd,
             truth,
             error: reading.minus(&truth),
         });
@@ -580,13 +552,8 @@ impl<O: Observer> World<O> {
 
 impl<O: Observer> Driver<Board> for World<O> {
     fn on_settled(&mut self, session: &mut Session<Board>, _: &mut dyn Host, settled: Settled) {
-        let Settled::Access { access, .. } = settled else {
-            return;
-        };
-        session.board_mut().part.correct(&access);
-        let starts = access.kind == AccessKind::Write && access.address == CLOCK_CR1 && access.value & 1 == 1;
-        if starts && self.clock_ns.is_none() {
-            self.clock_ns = Some(access.virtual_time.0);
+        if let Settled::Access { access, .. } = settled {
+            session.board_mut().part.correct(&access);
         }
     }
 
@@ -720,16 +687,6 @@ fn mode(text: &str) -> Option<&'static str> {
         .map(ModeName::as_str)
 }
 
-/// Heading, pitch and roll, and the heading's 1σ, degrees, of a line of the log that has them:
-/// `heading H deg, sd S; pitch P, roll R`.
-fn logged(text: &str) -> Option<([f64; 3], f64)> {
-    let (heading, rest) = text.strip_prefix("heading ")?.split_once(" deg, sd ")?;
-    let (sd, rest) = rest.split_once("; pitch ")?;
-    let (pitch, roll) = rest.split_once(", roll ")?;
-    let number = |text: &str| text.parse::<f64>().ok();
-    Some(([number(heading)?, number(pitch)?, number(roll)?], number(sd)?))
-}
-
 /// What the session has noted of the emulator's gaps.
 fn gaps(session: &Session<Board>) -> Gaps {
     let exticr = |u: &&rigless::session::Unimplemented| u.instance == "SYSCFG" && u.register.starts_with("EXTICR");
@@ -763,14 +720,5 @@ mod tests {
         assert_eq!(mode("Mode { from: Idle, to: SelfTest }"), Some("self-test"));
         assert_eq!(mode("Mode { from: Fine, to: Aligned }"), Some("aligned"));
         assert_eq!(mode("Homed { angle: 3.1 }"), None);
-    }
-
-    #[test]
-    fn estimates_are_read_from_the_log() {
-        assert_eq!(
-            logged("heading 337.4692 deg, sd 0.4; pitch -4.67, roll 4.43"),
-            Some(([337.4692, -4.67, 4.43], 0.4))
-        );
-        assert_eq!(logged("heading"), None);
     }
 }

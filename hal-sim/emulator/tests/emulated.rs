@@ -78,19 +78,19 @@ fn the_image_homes_and_aligns() {
     let last = outcome.last.unwrap();
     assert!(last.t_s > 78.0, "{}", last.t_s);
     assert!(last.sigmas().abs() < 3.0, "{last:?}");
-    assert!(last.heading_sd_deg < 1.0, "{last:?}");
+    assert!(last.sd.heading_deg < 1.0, "{last:?}");
     assert!(
         last.error.pitch_deg.abs() < 0.05 && last.error.roll_deg.abs() < 0.05,
         "{last:?}"
     );
 
-    // What goes over the line is the same heading: no further off than a tenth of a second of swing.
-    let pashr = kept.sentences.iter().rev().find_map(|text| emulator::nmea::pashr(text));
-    let ([heading, _, _], [sd, _, _]) = pashr.unwrap();
-    let turn = (heading - last.reading.heading_deg + 540.0).rem_euclid(360.0) - 180.0;
+    let answers = |head: &str| kept.sentences.iter().filter(|text| text.starts_with(head)).count();
+    // Ten times a second.
+    assert!((770..=810).contains(&answers("$HETHS,")), "{}", answers("$HETHS,"));
     assert!(
-        turn.abs() < 12.0 && (sd - last.heading_sd_deg).abs() < 0.1,
-        "{heading} {sd} {last:?}"
+        answers("$HEHDT,") > 50 && answers("$HEHDT,") < 150,
+        "{}",
+        answers("$HEHDT,")
     );
 
     let cost = &outcome.cost;
