@@ -196,8 +196,7 @@ impl<O: Observer> World<O> {
         let truth = Truth::new(scenario, setup.seed)?;
         let mut made = Made::new(scenario, setup.seed);
         // As firmware/src/params.rs has them, until the unit is calibrated.
-        made.plant.encoder_zero = 0.0;
-        made.plant.encoder_harmonics.clear();
+        made.remount_encoder(0.0);
         let harmonics = made.harmonics(scenario);
         let mut plant = made.build();
         plant.outputs_off();

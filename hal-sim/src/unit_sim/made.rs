@@ -56,6 +56,15 @@ impl Made {
         }
     }
 
+    /// The same motor with its encoder mounted anew: without an error of its own, and at `zero`, rad, where α is zero.
+    pub fn remount_encoder(&mut self, zero: f64) {
+        let turned = self.plant.encoder_zero - zero;
+        // The windings stay where they are in the housing.
+        self.plant.electrical_offset += f64::from(self.plant.pole_pairs) * turned;
+        self.plant.encoder_zero = zero;
+        self.plant.encoder_harmonics.clear();
+    }
+
     /// The encoder's error as (order, amplitude in rad, phase in rad): that of the part, and what the scenario adds,
     /// which no table corrects.
     pub fn harmonics(&self, scenario: &Scenario) -> Vec<(u16, f64, f64)> {
