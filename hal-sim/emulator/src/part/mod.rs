@@ -2,8 +2,8 @@
 //!
 //! | | |
 //! |---|---|
-//! | [`exti`] | the part has no external interrupts there |
-//! | [`pwm`] | a TIM1 that wakes nobody, in place of one that wakes 160 000 times a second |
+//! | `exti` | the part has no external interrupts there |
+//! | `pwm` | a TIM1 that wakes nobody, in place of one that wakes 160 000 times a second |
 //! | [`Part::correct`] | a software update of a stopped timer sets capture flags that it must not set |
 //! | [`Part::power`] | the part takes no power-on reset there |
 //!
