@@ -14,6 +14,7 @@ use hal_sim::log::{LogRow, LogWarning, LogWriter};
 use hal_sim::monte_carlo::{self, Statistics};
 use hal_sim::replay::{self, Replay};
 use hal_sim::report;
+use hal_sim::reproduce;
 use hal_sim::scenario::Scenario;
 use hal_sim::simulate::{self, Moment, Row, RunResult};
 use hal_sim::unit::Unit;
@@ -50,6 +51,8 @@ enum Command {
     Replay(ReplayArgs),
     /// Simulate the whole unit: application, devices, buses and motor in virtual time
     Unit(UnitArgs),
+    /// Reproduce the papers' tables and figures: what is published beside ours
+    Reproduce(ReproduceArgs),
     /// List the built-in scenarios, or print one as a start for your own
     Scenarios {
         /// Name of the scenario to print
@@ -146,6 +149,25 @@ struct ReplayArgs {
     json: bool,
 }
 
+#[derive(Args)]
+struct ReproduceArgs {
+    /// What to reproduce: a name, or a paper's short name for all of the paper (without any: lists them)
+    #[arg(value_name = "NAME", conflicts_with = "all")]
+    names: Vec<String>,
+    /// Everything
+    #[arg(long)]
+    all: bool,
+    /// Seed of every chance
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Folder for plots and curves
+    #[arg(long, value_name = "DIR", default_value = "report/reproduce")]
+    out: PathBuf,
+    /// Print the results as JSON
+    #[arg(long)]
+    json: bool,
+}
+
 /// Parses the command line and does what it says.
 pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
@@ -159,6 +181,7 @@ pub(crate) fn main() -> ExitCode {
         Command::MonteCarlo(args) => monte_carlo(&args, cli.quiet),
         Command::Replay(args) => replay(&args, cli.quiet),
         Command::Unit(args) => unit(&args, cli.quiet),
+        Command::Reproduce(args) => reproduce(&args, cli.quiet),
         Command::Scenarios { name } => scenarios(name.as_deref()),
     };
     done.unwrap_or_else(|message| {
@@ -708,6 +731,41 @@ fn unit_table(result: &UnitResult) -> String {
     let Some(last) = &result.last else { return text };
     text += &attitude_table(&last.truth, &last.reading.attitude, &last.error, &last.reading.sd);
     text
+}
+
+fn reproduce(args: &ReproduceArgs, quiet: bool) -> Done {
+    let mut selected = Vec::new();
+    if args.all {
+        selected.extend_from_slice(reproduce::ALL);
+    } else if args.names.is_empty() {
+        for reproduction in reproduce::ALL {
+            print(&format!("{:<22}{}\n", reproduction.name, reproduction.what))?;
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
+    for name in &args.names {
+        selected.extend(reproduce::select(name).map_err(words)?);
+    }
+    let mut reports = Vec::new();
+    for reproduction in &selected {
+        let told = |what: &str| {
+            if !quiet {
+                eprintln!("{}: {what}", reproduction.name);
+            }
+        };
+        let report = reproduce::run(reproduction, args.seed, Some(&args.out), &told).map_err(words)?;
+        if !args.json {
+            print(&format!("{}\n", reproduce::table(&report)))?;
+        }
+        reports.push(report);
+    }
+    if args.json {
+        print_json(&reports)?;
+    } else {
+        print(&reproduce::summary(&reports))?;
+        print(&format!("plots: {}\n", args.out.display()))?;
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 fn scenarios(name: Option<&str>) -> Done {

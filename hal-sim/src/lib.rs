@@ -22,6 +22,7 @@ pub mod plant;
 pub mod plot;
 pub mod replay;
 pub mod report;
+pub mod reproduce;
 pub mod scenario;
 pub mod sensors;
 pub mod simulate;
