@@ -43,5 +43,6 @@ pub mod earth;
 pub mod fading;
 pub mod fine;
 pub mod increment;
+pub mod mechanization;
 pub mod noise;
 pub mod rotor;
