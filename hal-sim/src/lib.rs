@@ -13,6 +13,7 @@
 //! the firmware's own, in f32. Frames, signs and names are those of [`frames`].
 
 pub mod align;
+pub mod bound;
 pub mod bus;
 pub mod config;
 pub mod device;
