@@ -37,6 +37,7 @@
 #![no_std]
 
 pub mod aligner;
+pub mod calibration;
 pub mod coarse;
 pub mod covariance;
 pub mod earth;
