@@ -12,6 +12,7 @@ use hal_sim::align::{self, Angles, Method, Setup};
 use hal_sim::bus::UartLine;
 use hal_sim::log::{LogRow, LogWarning, LogWriter};
 use hal_sim::monte_carlo::{self, Statistics};
+use hal_sim::observability::{self, Attitude, Axis, Segment};
 use hal_sim::replay::{self, Replay};
 use hal_sim::report;
 use hal_sim::reproduce;
@@ -51,6 +52,8 @@ enum Command {
     Replay(ReplayArgs),
     /// Simulate the whole unit: application, devices, buses and motor in virtual time
     Unit(UnitArgs),
+    /// Tell which errors of a resting, turning IMU its velocity makes observable
+    Observability(ObservabilityArgs),
     /// Reproduce the papers' tables and figures: what is published beside ours
     Reproduce(ReproduceArgs),
     /// List the built-in scenarios, or print one as a start for your own
@@ -150,6 +153,40 @@ struct ReplayArgs {
 }
 
 #[derive(Args)]
+struct ObservabilityArgs {
+    /// Axis of the body that the sensor turns about; several, by comma, one after the other
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "z")]
+    axis: Vec<Axis>,
+    /// Nose up, degrees
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
+    pitch: f64,
+    /// Right side down, degrees
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
+    roll: f64,
+    /// Clockwise from north, degrees
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
+    heading: f64,
+    /// Rate of turning, °/s
+    #[arg(long, value_name = "DPS", default_value_t = 10.0, allow_negative_numbers = true)]
+    rate_dps: f64,
+    /// Time about each axis, s; matters where there are several
+    #[arg(long, value_name = "S", default_value_t = 36.0)]
+    seconds: f64,
+    /// Geodetic latitude, degrees
+    #[arg(long, value_name = "L", default_value_t = 40.0, allow_negative_numbers = true)]
+    latitude_deg: f64,
+    /// Acceleration east, m/s², during the last of the axes
+    #[arg(long, value_name = "A", default_value_t = 0.0, allow_negative_numbers = true)]
+    accel_east: f64,
+    /// Acceleration north, m/s², likewise
+    #[arg(long, value_name = "A", default_value_t = 0.0, allow_negative_numbers = true)]
+    accel_north: f64,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
 struct ReproduceArgs {
     /// What to reproduce: a name, or a paper's short name for all of the paper (without any: lists them)
     #[arg(value_name = "NAME", conflicts_with = "all")]
@@ -181,6 +218,7 @@ pub(crate) fn main() -> ExitCode {
         Command::MonteCarlo(args) => monte_carlo(&args, cli.quiet),
         Command::Replay(args) => replay(&args, cli.quiet),
         Command::Unit(args) => unit(&args, cli.quiet),
+        Command::Observability(args) => observe(&args),
         Command::Reproduce(args) => reproduce(&args, cli.quiet),
         Command::Scenarios { name } => scenarios(name.as_deref()),
     };
@@ -730,6 +768,63 @@ fn unit_table(result: &UnitResult) -> String {
     }
     let Some(last) = &result.last else { return text };
     text += &attitude_table(&last.truth, &last.reading.attitude, &last.error, &last.reading.sd);
+    text
+}
+
+fn observe(args: &ObservabilityArgs) -> Done {
+    let radians = frames::units::DEG;
+    let attitude = Attitude {
+        heading: args.heading * radians,
+        pitch: args.pitch * radians,
+        roll: args.roll * radians,
+    };
+    let last = args.axis.len().saturating_sub(1);
+    let segments: Vec<_> = args
+        .axis
+        .iter()
+        .enumerate()
+        .map(|(k, axis)| Segment {
+            axis: *axis,
+            rate: args.rate_dps * radians,
+            seconds: args.seconds,
+            acceleration: if k == last {
+                [args.accel_east, args.accel_north]
+            } else {
+                [0.0; 2]
+            },
+        })
+        .collect();
+    let found = observability::Report::of(&attitude, args.latitude_deg * radians, &segments).map_err(words)?;
+    if args.json {
+        print_json(&found)?;
+    } else {
+        print(&observability_table(&found))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Rank, singular values, and what they mean for each error.
+fn observability_table(found: &observability::Report) -> String {
+    let mut text = format!("rank {} of {}\nsingular values:", found.rank, found.states);
+    for value in found.singular_values {
+        text += &format!(" {value:.2e}");
+    }
+    text += &format!(
+        "\nof the largest, the smallest that counts is {:.1e}, the next {:.1e}\nobservable:\n",
+        found.smallest_counted, found.largest_neglected
+    );
+    for combination in &found.observable {
+        text += &format!("  {combination}\n");
+    }
+    for (frame, states) in [
+        ("each error, in east, north, up:", &found.by_state),
+        ("biases along the body's axes, at the start:", &found.by_body_axis),
+    ] {
+        text += &format!("{frame}\n");
+        for state in states {
+            text += &format!("  {:<6}{}\n", state.name, state.seen);
+        }
+    }
     text
 }
 

@@ -19,6 +19,7 @@ pub mod config;
 pub mod device;
 pub mod log;
 pub mod monte_carlo;
+pub mod observability;
 pub mod plant;
 pub mod plot;
 pub mod replay;
