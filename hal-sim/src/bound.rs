@@ -107,6 +107,8 @@ const DRIVEN: usize = 6;
 pub struct Sigmas {
     /// Time, s.
     pub t_s: f64,
+    /// Of heading, by the angle random walk alone: the simple formula, [`random_walk_limit_deg`].
+    pub random_walk_limit_deg: f64,
     /// Of the attitude of the housing.
     pub sd: Angles,
     /// Of velocity (east, north, up), m/s.
@@ -126,7 +128,7 @@ pub struct Sigmas {
 /// `δV_N = g φ_E0 t − ½ g ω_N φ_U t²`. Absent where the cause is.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Limits {
-    /// Angle random walk q: the ends of a walk tell its slope to q/√T, which leaves q/(ω_N √T).
+    /// Angle random walk q: the ends of a walk tell its slope to q/√T, which leaves q/(ω_N √T). As in the last row.
     pub angle_random_walk_deg: f64,
     /// Velocity random walk r: the slope of an acceleration in white noise, `√12 r/T^1.5`, over g ω_N.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -295,6 +297,8 @@ struct Model {
     gyro_bias_sd: f64,
     accel_bias_sd: f64,
     angle_psd: f64,
+    /// Of [`random_walk_limit_deg`] after a second, degrees.
+    random_walk_limit_deg: f64,
     velocity_psd: f64,
     /// [ω_ie^n ×].
     earth: Matrix3<f64>,
@@ -328,6 +332,7 @@ impl Model {
             gyro_bias_sd: imu.gyro_bias_sd_deg_h * DEG_PER_HOUR,
             accel_bias_sd: imu.accel_bias_sd_ug * MICRO_G,
             angle_psd: (imu.angle_random_walk_deg_sqrt_h * DEG_PER_SQRT_HOUR).powi(2),
+            random_walk_limit_deg: random_walk_limit_deg(scenario, 1.0),
             velocity_psd: (imu.velocity_random_walk_ug_sqrt_hz * MICRO_G_PER_SQRT_HZ).powi(2),
             earth: truth.w_ie_n().skew(),
             force: f_n.skew(),
@@ -438,6 +443,7 @@ impl Model {
         };
         Sigmas {
             t_s: t,
+            random_walk_limit_deg: self.random_walk_limit_deg / t.sqrt(),
             sd: Angles::from_sd(&AttitudeSd::from_phi_covariance(&truth.c_nb(t), &phi)),
             velocity_sd_m_s: core::array::from_fn(|axis| sd(DV + axis)),
             gyro_bias_sd_deg_h: sum(EPS, self.gyro_process.as_ref()).map(|sd| sd / DEG_PER_HOUR),

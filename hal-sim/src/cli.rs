@@ -9,6 +9,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 use hal_sim::align::{self, Angles, Method, Setup};
+use hal_sim::bound::{self, Bound, BoundConfig};
 use hal_sim::bus::UartLine;
 use hal_sim::log::{LogRow, LogWarning, LogWriter};
 use hal_sim::monte_carlo::{self, Statistics};
@@ -48,6 +49,8 @@ enum Command {
     Run(RunArgs),
     /// Simulate many runs and report their statistics
     MonteCarlo(MonteCarloArgs),
+    /// Compute the least σ that any filter can have: the covariance of the ideal one along the true path
+    Bound(BoundArgs),
     /// Run the core on a recorded log
     Replay(ReplayArgs),
     /// Simulate the whole unit: application, devices, buses and motor in virtual time
@@ -73,7 +76,7 @@ struct Simulated {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Length of a run, s, instead of the scenario's; of `unit`, from the beginning of its alignment
-    #[arg(long, value_name = "S")]
+    #[arg(long, visible_alias = "duration", value_name = "S")]
     seconds: Option<f64>,
 }
 
@@ -108,6 +111,21 @@ struct MonteCarloArgs {
     /// Folder for the report
     #[arg(long, value_name = "DIR", default_value = "report")]
     report: PathBuf,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
+struct BoundArgs {
+    #[command(flatten)]
+    simulated: Simulated,
+    /// How well zero velocity is known once a second, m/s
+    #[arg(long, value_name = "V", allow_negative_numbers = true, default_value_t = BoundConfig::default().velocity_sd)]
+    velocity_sd: f64,
+    /// Folder for the report
+    #[arg(long, visible_alias = "report", value_name = "DIR", default_value = "report")]
+    out: PathBuf,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -216,6 +234,7 @@ pub(crate) fn main() -> ExitCode {
     let done = match command {
         Command::Run(args) => run(&args, cli.quiet),
         Command::MonteCarlo(args) => monte_carlo(&args, cli.quiet),
+        Command::Bound(args) => bound(&args),
         Command::Replay(args) => replay(&args, cli.quiet),
         Command::Unit(args) => unit(&args, cli.quiet),
         Command::Observability(args) => observe(&args),
@@ -468,40 +487,50 @@ fn monte_carlo(args: &MonteCarloArgs, quiet: bool) -> Done {
 /// The closing table of a Monte Carlo.
 fn monte_carlo_table(report: &monte_carlo::Report) -> String {
     let mut text = format!(
-        "{}, {} runs of {} s, seed {}; angle random walk alone leaves {:.3}° of heading\n{:<18}{:>6}{:>10}{:>10}{:>10}{:>12}{:>14}\n",
+        "{}, {} runs of {} s, seed {}; angle random walk alone leaves {:.3}° of heading, the ideal filter {:.3}°\n{:<18}{:>6}{:>10}{:>10}{:>10}{:>12}{:>14}{:>11}\n",
         report.scenario,
         report.runs,
         report.duration_s,
         report.seed,
         report.random_walk_limit_deg,
+        report.bound_deg,
         "",
         "runs",
         "mean (°)",
         "sd (°)",
         "rms (°)",
         "predicted",
-        "(error/σ)²"
+        "(error/σ)²",
+        "rms/ideal"
     );
-    let mut rows = |name: &str, s: &Statistics| {
+    let mut rows = |name: &str, s: &Statistics, over_bound: Option<f64>| {
         for (angle, spread) in [("heading", &s.heading), ("pitch", &s.pitch), ("roll", &s.roll)] {
+            let over_bound = over_bound
+                .filter(|_| angle == "heading")
+                .map(|ratio| format!("{ratio:>11.3}"));
             text += &format!(
-                "{:<18}{:>6}{:>+10.4}{:>10.4}{:>10.4}{:>12.4}{:>14.2}\n",
+                "{:<18}{:>6}{:>+10.4}{:>10.4}{:>10.4}{:>12.4}{:>14.2}{}\n",
                 format!("{name} {angle}"),
                 s.runs,
                 spread.mean_deg,
                 spread.sd_deg,
                 spread.rms_deg,
                 spread.predicted_sd_deg,
-                spread.normalised_squared
+                spread.normalised_squared,
+                over_bound.unwrap_or_default()
             );
         }
     };
     if let Some(coarse) = &report.coarse {
-        rows("coarse", coarse);
+        rows("coarse", coarse, None);
     }
     for method in &report.by_method {
         if let Some(fine) = &method.fine {
-            rows(&format!("fine {}", method.method.name()), fine);
+            rows(
+                &format!("fine {}", method.method.name()),
+                fine,
+                method.heading_rms_over_bound,
+            );
         }
     }
     for method in &report.by_method {
@@ -523,6 +552,72 @@ fn monte_carlo_table(report: &monte_carlo::Report) -> String {
                 String::new()
             }
         );
+    }
+    // Each run has phases of its own.
+    text + "rms/ideal: over the ideal filter's σ along the motion of the first run; n runs scatter it by 1/√(2n)\n"
+}
+
+fn bound(args: &BoundArgs) -> Done {
+    let scenario = scenario(&args.simulated)?;
+    let config = BoundConfig {
+        velocity_sd: args.velocity_sd,
+        ..BoundConfig::default()
+    };
+    let result = bound::run(&scenario, args.simulated.seed, &config).map_err(words)?;
+    let dir = args
+        .out
+        .join(format!("{}-bound-seed{}", scenario.name, args.simulated.seed));
+    report::bound(&dir, &result).map_err(words)?;
+    if args.json {
+        print_json(&result)?;
+    } else {
+        print(&bound_table(&result))?;
+        print(&format!("report: {}\n", dir.display()))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The table of a bound.
+fn bound_table(bound: &Bound) -> String {
+    let mut text = format!(
+        "{}, seed {}: σ of the ideal filter, {} states, zero velocity known to {} m/s each second\n{:>8}{:>12}{:>12}{:>10}{:>10}{:>27}{:>27}\n",
+        bound.scenario,
+        bound.seed,
+        bound.states,
+        bound.velocity_measurement_sd_m_s,
+        "t (s)",
+        "heading (°)",
+        "by ARW (°)",
+        "pitch (°)",
+        "roll (°)",
+        "gyros x, y, z (°/h)",
+        "accels x, y, z (µg)"
+    );
+    for row in &bound.rows {
+        text += &format!(
+            "{:>8}{:>12.3}{:>12.3}{:>10.5}{:>10.5}",
+            row.t_s, row.sd.heading_deg, row.random_walk_limit_deg, row.sd.pitch_deg, row.sd.roll_deg
+        );
+        for sd in row.gyro_bias_sd_deg_h {
+            text += &format!("{sd:>9.3}");
+        }
+        for sd in row.accel_bias_sd_ug {
+            text += &format!("{sd:>9.2}");
+        }
+        text += "\n";
+    }
+    let limits = &bound.limits;
+    text += &format!("what a single cause leaves of heading after {} s:\n", bound.duration_s);
+    for (name, limit) in [
+        ("angle random walk", Some(limits.angle_random_walk_deg)),
+        ("velocity random walk", limits.velocity_random_walk_deg),
+        ("velocity measurement", Some(limits.velocity_measurement_deg)),
+        ("quantum of the gyros", limits.gyro_quantum_deg),
+        ("quantum of the accels", limits.accel_quantum_deg),
+    ] {
+        if let Some(limit) = limit {
+            text += &format!("  {name:<24}{limit:>12.7}°\n");
+        }
     }
     text
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
+use crate::bound::Sigmas;
 use crate::simulate::Moment;
 
 /// Why a plot could not be drawn: the drawing library's words.
@@ -188,11 +189,82 @@ pub fn rotor(path: &Path, angle: &[(f64, f64)]) -> Result<(), PlotError> {
     )
 }
 
-/// Histogram of heading errors in degrees, with the normal density of the predicted σ.
+/// Heading σ of the ideal filter over time, beside what the angle random walk alone leaves.
+///
+/// The scale of σ is logarithmic: it begins with a quarter of a circle and ends with a fraction of a degree.
 ///
 /// # Errors
 /// [`PlotError`] where the file cannot be written.
-pub fn heading_histogram(path: &Path, title: &str, errors_deg: &[f64], predicted_sd_deg: f64) -> Result<(), PlotError> {
+pub fn heading_bound(path: &Path, title: &str, curve: &[Sigmas]) -> Result<(), PlotError> {
+    let end = curve.last().map_or(1.0, |s| s.t_s);
+    let line = |of: fn(&Sigmas) -> f64| -> Vec<(f64, f64)> {
+        let points = curve.iter().map(|s| (s.t_s, of(s)));
+        points.filter(|(_, y)| *y > 0.0 && y.is_finite()).collect()
+    };
+    let (sd, simple) = (line(|s| s.sd.heading_deg), line(|s| s.random_walk_limit_deg));
+    let (low, high) = sd
+        .iter()
+        .chain(&simple)
+        .fold((f64::INFINITY, 0.0_f64), |(low, high), (_, y)| {
+            (low.min(*y), high.max(*y))
+        });
+    // A scenario without any error has no σ to draw.
+    let (low, high) = if low < high {
+        (0.7 * low, 1.4 * high)
+    } else {
+        (0.1, 100.0)
+    };
+    let root = SVGBackend::new(path, (900, 520)).into_drawing_area();
+    root.fill(&WHITE)?;
+    let mut chart = ChartBuilder::on(&root)
+        .caption(title, (FONT, 18))
+        .margin(10)
+        .margin_right(24)
+        .x_label_area_size(42)
+        .y_label_area_size(70)
+        .build_cartesian_2d(0.0..end, (low..high).log_scale())?;
+    chart
+        .configure_mesh()
+        .light_line_style(WHITE)
+        .bold_line_style(RGBColor(225, 225, 225))
+        .x_desc("time (s)")
+        .y_desc("heading σ (degrees)")
+        .x_label_formatter(&|t| format!("{t:.0}"))
+        .y_label_formatter(&|y| format!("{y}"))
+        .label_style((FONT, 13))
+        .axis_desc_style((FONT, 14))
+        .draw()?;
+    for (line, colour, name) in [
+        (simple, ORANGE, "angle random walk alone, ARW/(ω_ie cos L √T)"),
+        (sd, BLUE, "ideal filter"),
+    ] {
+        chart
+            .draw_series(LineSeries::new(line, colour.stroke_width(2)))?
+            .label(name)
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
+        .border_style(GREY)
+        .background_style(WHITE)
+        .label_font((FONT, 13))
+        .draw()?;
+    root.present()?;
+    Ok(())
+}
+
+/// Histogram of heading errors in degrees, with the normal densities of the predicted σ and of the ideal filter's.
+///
+/// # Errors
+/// [`PlotError`] where the file cannot be written.
+pub fn heading_histogram(
+    path: &Path,
+    title: &str,
+    errors_deg: &[f64],
+    predicted_sd_deg: f64,
+    bound_deg: f64,
+) -> Result<(), PlotError> {
     const BINS: usize = 24;
     let reach = errors_deg
         .iter()
@@ -204,12 +276,25 @@ pub fn heading_histogram(path: &Path, title: &str, errors_deg: &[f64], predicted
         let bin = ((e + reach) / width).floor().clamp(0.0, (BINS - 1) as f64);
         counts[bin as usize] += 1;
     }
-    let density = |x: f64| {
-        let scaled = x / predicted_sd_deg;
-        errors_deg.len() as f64 * width * (-0.5 * scaled * scaled).exp()
-            / (predicted_sd_deg * core::f64::consts::TAU.sqrt())
+    let density = |x: f64, sd: f64| {
+        let scaled = x / sd;
+        errors_deg.len() as f64 * width * (-0.5 * scaled * scaled).exp() / (sd * core::f64::consts::TAU.sqrt())
     };
-    let top = counts.iter().map(|c| *c as f64).fold(density(0.0), f64::max) * 1.1;
+    // A σ far below the width of the bins is a spike that would flatten all the rest.
+    let curves: Vec<_> = [
+        // The wider line first: where the filter is ideal the other lies on it.
+        (bound_deg, GREY.stroke_width(5), "ideal filter"),
+        (predicted_sd_deg, ORANGE.stroke_width(2), "predicted"),
+    ]
+    .into_iter()
+    .filter(|(sd, ..)| *sd > 0.3 * width)
+    .collect();
+    let top = counts
+        .iter()
+        .map(|c| *c as f64)
+        .chain(curves.iter().map(|(sd, ..)| density(0.0, *sd)))
+        .fold(0.0, f64::max)
+        * 1.1;
     let root = SVGBackend::new(path, (800, 480)).into_drawing_area();
     root.fill(&WHITE)?;
     let mut chart = ChartBuilder::on(&root)
@@ -233,16 +318,18 @@ pub fn heading_histogram(path: &Path, title: &str, errors_deg: &[f64], predicted
         let left = -reach + k as f64 * width;
         Rectangle::new([(left, 0.0), (left + width, *count as f64)], BLUE.mix(0.45).filled())
     }))?;
-    chart
-        .draw_series(LineSeries::new(
-            (0..=200).map(|k| {
-                let x = reach * (f64::from(k) / 100.0 - 1.0);
-                (x, density(x))
-            }),
-            ORANGE.stroke_width(2),
-        ))?
-        .label(format!("normal, predicted σ = {predicted_sd_deg:.3}°"))
-        .legend(|(x, y)| PathElement::new([(x, y), (x + 18, y)], ORANGE.stroke_width(2)));
+    for (sd, style, whose) in curves {
+        chart
+            .draw_series(LineSeries::new(
+                (0..=200).map(|k| {
+                    let x = reach * (f64::from(k) / 100.0 - 1.0);
+                    (x, density(x, sd))
+                }),
+                style,
+            ))?
+            .label(format!("normal, {whose} σ = {sd:.3}°"))
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
+    }
     chart
         .configure_series_labels()
         .position(SeriesLabelPosition::UpperRight)

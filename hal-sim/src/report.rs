@@ -1,4 +1,4 @@
-//! Report folders: JSON, CSV and plots of a run or a Monte Carlo.
+//! Report folders: JSON, CSV and plots of a run, a Monte Carlo or a bound.
 
 use std::fs;
 use std::io;
@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use crate::bound::{Bound, Sigmas};
 use crate::monte_carlo;
 use crate::plot::{self, PlotError};
 use crate::simulate::{Moment, RunResult};
@@ -119,8 +120,69 @@ pub fn monte_carlo(dir: &Path, report: &monte_carlo::Report) -> Result<(), Repor
         let name = method.method.name();
         let title = format!("{}, {}: heading error of {} runs", report.scenario, name, fine.runs);
         drawn(dir.join(format!("heading-{name}.svg")), |path| {
-            plot::heading_histogram(path, &title, &method.heading_errors_deg, fine.heading.predicted_sd_deg)
+            plot::heading_histogram(
+                path,
+                &title,
+                &method.heading_errors_deg,
+                fine.heading.predicted_sd_deg,
+                report.bound_deg,
+            )
         })?;
     }
     Ok(())
+}
+
+/// σ of every state, one row for each measurement.
+fn sigma_csv(path: PathBuf, curve: &[Sigmas]) -> Result<(), ReportError> {
+    let write = || -> Result<(), csv::Error> {
+        let mut out = csv::Writer::from_path(&path)?;
+        let mut header: Vec<String> = [
+            "t_s",
+            "heading_sd_deg",
+            "pitch_sd_deg",
+            "roll_sd_deg",
+            "velocity_east_sd_m_s",
+            "velocity_north_sd_m_s",
+            "velocity_up_sd_m_s",
+            "gyro_bias_x_sd_deg_h",
+            "gyro_bias_y_sd_deg_h",
+            "gyro_bias_z_sd_deg_h",
+            "accel_bias_x_sd_ug",
+            "accel_bias_y_sd_ug",
+            "accel_bias_z_sd_ug",
+        ]
+        .map(str::to_owned)
+        .into();
+        if curve.iter().any(|s| s.gyro_matrix_sd_ppm.is_some()) {
+            for row in ["x", "y", "z"] {
+                header.extend(["x", "y", "z"].map(|column| format!("gyro_matrix_{row}{column}_sd_ppm")));
+            }
+        }
+        out.write_record(&header)?;
+        for s in curve {
+            let mut row = vec![s.t_s, s.sd.heading_deg, s.sd.pitch_deg, s.sd.roll_deg];
+            row.extend(s.velocity_sd_m_s);
+            row.extend(s.gyro_bias_sd_deg_h);
+            row.extend(s.accel_bias_sd_ug);
+            row.extend(s.gyro_matrix_sd_ppm.iter().flatten().flatten());
+            out.write_record(row.iter().map(|x| format!("{x:.7}")))?;
+        }
+        out.flush()?;
+        Ok(())
+    };
+    write().map_err(|e| ReportError::Io(path.clone(), e.into()))
+}
+
+/// Writes `result.json`, `sigma.csv` and `heading.svg` into `dir`.
+///
+/// # Errors
+/// [`ReportError`] names the file.
+pub fn bound(dir: &Path, bound: &Bound) -> Result<(), ReportError> {
+    folder(dir)?;
+    json(dir.join("result.json"), bound)?;
+    sigma_csv(dir.join("sigma.csv"), &bound.curve)?;
+    let title = format!("{}: heading σ of the ideal filter", bound.scenario);
+    drawn(dir.join("heading.svg"), |path| {
+        plot::heading_bound(path, &title, &bound.curve)
+    })
 }
