@@ -14,7 +14,7 @@ use drivers::harmonics::Harmonics;
 use drivers::mt6835;
 use frames::units::{DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ};
 use nav::aligner::AlignerConfig;
-use nav::fine::{FilterConfig, Method};
+use nav::fine::FilterConfig;
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 
@@ -112,12 +112,10 @@ pub fn aligner() -> AlignerConfig {
             velocity_random_walk: (10.0 * MICRO_G_PER_SQRT_HZ) as f32,
             gyro_instability_sd: 0.0,
             gyro_instability_tau: 0.0,
+            gyro_scale_factor_sd: 0.0,
+            gyro_misalignment_sd: 0.0,
         },
-        velocity_sd: 1e-4,  // m/s, each second: a base that only swings
-        measure_every: 1.0, // s
-        tilt_sd: (0.2 * DEG) as f32,
-        heading_sd: (90.0 * DEG) as f32,
-        method: Method::Kalman,
+        ..FilterConfig::default()
     };
     AlignerConfig::for_rotor(LATITUDE, HEIGHT, &SCHEDULE, filter)
 }

@@ -23,7 +23,7 @@ use embassy_stm32::gpio::{Flex, Input, Output};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::Delay;
 use frames::units::DEG;
-use nav::aligner::{Aligner, QUEUE};
+use nav::aligner::Aligner;
 use static_cell::StaticCell;
 
 use crate::board::{self, Board, Bridge, DataReady, Device, Iwdg, MotorCutoff, SerialTx};
@@ -43,7 +43,7 @@ type Bus = Shared<CriticalSectionRawMutex>;
 static SHARED: StaticCell<Bus> = StaticCell::new();
 static PORT: Port<CriticalSectionRawMutex> = Port::new();
 static ROTOR: StaticCell<Rotor> = StaticCell::new();
-static ALIGNER: StaticCell<Aligner<f32, QUEUE>> = StaticCell::new();
+static ALIGNER: StaticCell<Aligner> = StaticCell::new();
 
 /// Starts every task. Panics where the parameters are refused: nothing has moved then.
 pub fn start(spawner: Spawner, mut board: Board) {
@@ -92,7 +92,7 @@ fn rotor() -> &'static mut Rotor {
 
 // Alone, because it needs up to twice the aligner's 34 kB of stack where the compiler does not build it in place.
 #[inline(never)]
-fn aligner() -> &'static mut Aligner<f32, QUEUE> {
+fn aligner() -> &'static mut Aligner {
     ALIGNER.init_with(|| match Aligner::new(params::aligner()) {
         Ok(aligner) => aligner,
         Err(_) => defmt::panic!("params.rs: the aligner's figures are refused"),
@@ -110,7 +110,7 @@ async fn sampling(shared: &'static Bus, imu: Imu, edges: DataReady) -> ! {
 }
 
 #[embassy_executor::task]
-async fn alignment(shared: &'static Bus, aligner: &'static mut Aligner<f32, QUEUE>) -> ! {
+async fn alignment(shared: &'static Bus, aligner: &'static mut Aligner) -> ! {
     alignment::run(shared, aligner, params::alignment()).await
 }
 

@@ -1,11 +1,12 @@
 //! The unit's own aligner on the host: how a scenario's or a user's figures become its configuration,
 //! and what it says in degrees.
 
-use frames::units::{DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ};
+use frames::units::{ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
 use frames::{Attitude, AttitudeSd, Real, Sensor, Vec3};
 use nav::aligner::{Aligner, AlignerConfig, AlignerError, Estimate, Event, Mode, NotReady, Restart};
 use nav::fine::{self, FilterConfig};
 use nav::increment::Sample;
+
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 use serde::{Deserialize, Serialize};
@@ -21,6 +22,8 @@ pub enum Method {
     Kf,
     /// Strong-tracking filter.
     Stf,
+    /// Kalman filter of all the states there are, with displacement measured and trusted as the base allows.
+    Robust,
 }
 
 impl Method {
@@ -29,12 +32,13 @@ impl Method {
         match self {
             Self::Kf => "kf",
             Self::Stf => "stf",
+            Self::Robust => "robust",
         }
     }
 
-    fn policy<T: Real>(self) -> fine::Method<T> {
+    fn policy<T: Real, const B: usize>(self) -> fine::Method<T, B> {
         match self {
-            Self::Kf => fine::Method::Kalman,
+            Self::Kf | Self::Robust => fine::Method::Kalman,
             Self::Stf => fine::Method::strong_tracking(),
         }
     }
@@ -78,8 +82,8 @@ impl Setup {
         }
     }
 
-    /// The aligner's configuration in precision `T`.
-    pub fn config<T: Real>(&self) -> AlignerConfig<T> {
+    /// The aligner's configuration in precision `T`, with `B` blocks of states.
+    pub fn config<T: Real, const B: usize>(&self) -> AlignerConfig<T, B> {
         let filter = FilterConfig {
             noise: noise(&self.unit),
             method: self.method.policy(),
@@ -97,7 +101,7 @@ impl Setup {
     ///
     /// # Errors
     /// [`AlignerError`] where a figure is out of range.
-    pub fn aligner<T: Real>(&self) -> Result<Aligner<T>, AlignerError> {
+    pub fn aligner<T: Real, const B: usize>(&self) -> Result<Aligner<T, B>, AlignerError> {
         Aligner::new(self.config())
     }
 }
@@ -112,6 +116,8 @@ pub fn noise<T: Real>(unit: &Unit) -> ImuNoise<T> {
         velocity_random_walk: T::lit(unit.velocity_random_walk_ug_sqrt_hz * MICRO_G_PER_SQRT_HZ),
         gyro_instability_sd: T::lit(unit.gyro_instability_deg_h * DEG_PER_HOUR),
         gyro_instability_tau: T::lit(if instability { unit.gyro_instability_tau_s } else { 0.0 }),
+        gyro_scale_factor_sd: T::lit(unit.gyro_scale_factor_sd_ppm * PPM),
+        gyro_misalignment_sd: T::lit(unit.gyro_misalignment_sd_arcmin * ARC_MIN),
     }
 }
 
@@ -206,7 +212,7 @@ impl Reading {
 }
 
 /// Where the aligner stands, as reports name it.
-pub fn state_name<T: Real>(aligner: &Aligner<T>) -> &'static str {
+pub fn state_name<T: Real, const B: usize>(aligner: &Aligner<T, B>) -> &'static str {
     match (aligner.mode(), aligner.not_ready()) {
         (_, Some(NotReady::Inconsistent { .. })) => "inconsistent",
         (_, Some(NotReady::Ambiguous { .. })) => "ambiguous",
@@ -219,7 +225,7 @@ pub fn state_name<T: Real>(aligner: &Aligner<T>) -> &'static str {
 }
 
 /// Why the aligner is not aligned, for people; `None` where it is.
-pub fn reason<T: Real>(aligner: &Aligner<T>) -> Option<String> {
+pub fn reason<T: Real, const B: usize>(aligner: &Aligner<T, B>) -> Option<String> {
     aligner.not_ready().map(|reason| describe_not_ready(&reason))
 }
 

@@ -254,10 +254,10 @@ fn steps_per_second(scenario: &Scenario) -> f64 {
 
 /// The 1σ of the gyros' scale factors (one) and misalignments (rad) that the ideal filter is told.
 fn gyro_matrix_sd(scenario: &Scenario) -> (f64, f64) {
-    let errors = &scenario.errors;
+    let unit = &scenario.imu;
     (
-        errors.gyro_scale_factor_ppm * PPM,
-        errors.gyro_misalignment_arcmin * ARC_MIN,
+        unit.gyro_scale_factor_sd_ppm * PPM,
+        unit.gyro_misalignment_sd_arcmin * ARC_MIN,
     )
 }
 

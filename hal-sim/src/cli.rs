@@ -85,7 +85,7 @@ struct RunArgs {
     #[command(flatten)]
     simulated: Simulated,
     /// Fine filter
-    #[arg(long, value_enum, default_value = "kf")]
+    #[arg(long, value_enum, default_value = "robust")]
     method: Method,
     /// Write the samples as a CSV log that `replay` reads
     #[arg(long, value_name = "FILE")]
@@ -106,7 +106,7 @@ struct MonteCarloArgs {
     #[arg(long, short = 'n', default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     runs: u64,
     /// Fine filters, each on the same runs; `fine` in the JSON is the first
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "kf")]
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "robust")]
     method: Vec<Method>,
     /// Folder for the report
     #[arg(long, value_name = "DIR", default_value = "report")]
@@ -136,7 +136,7 @@ struct UnitArgs {
     #[command(flatten)]
     simulated: Simulated,
     /// Fine filter
-    #[arg(long, value_enum, default_value = "kf")]
+    #[arg(long, value_enum, default_value = "robust")]
     method: Method,
     /// Least severe level of the unit's log that is printed
     #[arg(long, value_name = "LEVEL", default_value = "info")]
@@ -163,7 +163,7 @@ struct ReplayArgs {
     #[arg(long, value_name = "UNIT.toml")]
     unit: Option<PathBuf>,
     /// Fine filter
-    #[arg(long, value_enum, default_value = "kf")]
+    #[arg(long, value_enum, default_value = "robust")]
     method: Method,
     /// Print the result as JSON
     #[arg(long)]

@@ -4,9 +4,10 @@ use std::path::Path;
 
 use nav::aligner::{Aligner, AlignerError, Event};
 use nav::increment::Sample;
+use nav::model::{PAPER, ROBUST};
 use serde::Serialize;
 
-use crate::align::{self, Reading, Setup};
+use crate::align::{self, Method, Reading, Setup};
 use crate::log::{Checker, LogError, LogReader, LogRow, LogWarning};
 
 /// Why a log cannot be replayed.
@@ -101,7 +102,18 @@ fn sample(row: &LogRow) -> Sample<f64> {
 /// # Errors
 /// [`ReplayError`] where the log or a figure is not usable; nothing of a broken log is reported as a result.
 pub fn replay(path: &Path, setup: &Setup, observer: &mut impl Observer) -> Result<Replay, ReplayError> {
-    let mut aligner: Aligner<f32> = setup.aligner()?;
+    match setup.method {
+        Method::Kf | Method::Stf => replay_with::<PAPER>(path, setup, observer),
+        Method::Robust => replay_with::<ROBUST>(path, setup, observer),
+    }
+}
+
+fn replay_with<const B: usize>(
+    path: &Path,
+    setup: &Setup,
+    observer: &mut impl Observer,
+) -> Result<Replay, ReplayError> {
+    let mut aligner: Aligner<f32, B> = setup.aligner()?;
     let reader = LogReader::open(path)?;
     let mut checker = Checker::new(reader.file_name());
     let mut told = 0;

@@ -132,16 +132,12 @@ table! {
 }
 
 table! {
-    /// `[errors]`: errors of the IMU beyond its noise and bias figures, which are in `[imu]`.
+    /// `[errors]`: errors of the IMU that no filter is told of. Those it weighs its measurements by are in `[imu]`.
     ///
     /// Gyros measure `(I + M) ω + G f + b`; M has a scale factor on its diagonal and misalignments off it, each drawn
     /// with the 1σ stated. Accelerometers measure `(I + M) f + b`.
     pub struct Errors {
         numbers {
-            /// Scale factor of the gyros, 1σ, ppm.
-            gyro_scale_factor_ppm: f64 = 0.0, [0.0, 100000.0];
-            /// Misalignment of the gyros, each off-diagonal term, 1σ, arc minutes.
-            gyro_misalignment_arcmin: f64 = 0.0, [0.0, 600.0];
             /// Scale factor of the accelerometers, 1σ, ppm.
             accel_scale_factor_ppm: f64 = 0.0, [0.0, 100000.0];
             /// Misalignment of the accelerometers, each off-diagonal term, 1σ, arc minutes.

@@ -248,9 +248,9 @@ impl Imu {
                 rng: stream(seed, Stream::VelocityWalk),
             },
             gyro_matrix: matrix(
-                errors.gyro_scale_factor_ppm * PPM,
+                unit.gyro_scale_factor_sd_ppm * PPM,
                 Stream::GyroScale,
-                errors.gyro_misalignment_arcmin * ARC_MIN,
+                unit.gyro_misalignment_sd_arcmin * ARC_MIN,
                 Stream::GyroMisalignment,
             ),
             accel_matrix: matrix(
@@ -481,9 +481,11 @@ mod tests {
 
     #[test]
     fn matrices_have_their_spread_and_act_as_stated() {
-        let text = "[errors]\ngyro_scale_factor_ppm = 300\ngyro_misalignment_arcmin = 2\naccel_scale_factor_ppm = 100\n\
-                    accel_misalignment_arcmin = 1\ng_sensitivity_deg_h_g = 10";
-        let scenario = scenario(text);
+        let text = format!(
+            "{QUIET}gyro_scale_factor_sd_ppm = 300\ngyro_misalignment_sd_arcmin = 2\n[errors]\n\
+             accel_scale_factor_ppm = 100\naccel_misalignment_arcmin = 1\ng_sensitivity_deg_h_g = 10"
+        );
+        let scenario = scenario(&text);
         let runs = 2000;
         let (mut diagonal, mut off, mut g) = (0.0, 0.0, 0.0);
         for run in 0..runs {

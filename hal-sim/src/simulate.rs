@@ -5,6 +5,7 @@ use nav::aligner::{Aligner, AlignerError, Event};
 use nav::coarse::{Coarse, CoarsePoint, CoarseSolution};
 use nav::earth::Earth;
 use nav::increment::{Compensator, Decimator, Sample};
+use nav::model::{PAPER, ROBUST};
 use serde::Serialize;
 
 use crate::align::{self, Angles, Method, Reading, Setup};
@@ -259,9 +260,21 @@ pub fn run<T: Real>(
     method: Method,
     observer: &mut impl Observer,
 ) -> Result<RunResult, SimulationError> {
+    match method {
+        Method::Kf | Method::Stf => run_with::<T, PAPER>(scenario, seed, method, observer),
+        Method::Robust => run_with::<T, ROBUST>(scenario, seed, method, observer),
+    }
+}
+
+fn run_with<T: Real, const B: usize>(
+    scenario: &Scenario,
+    seed: u64,
+    method: Method,
+    observer: &mut impl Observer,
+) -> Result<RunResult, SimulationError> {
     let mut simulation = Simulation::new(scenario, seed)?;
     let setup = Setup::of(scenario, method);
-    let mut aligner: Aligner<T> = setup.aligner()?;
+    let mut aligner: Aligner<T, B> = setup.aligner()?;
     let mut paper = PaperCoarse::<T>::new(scenario.coarse_times());
     let (mut samples, mut saturated, mut aligned_at_s) = (0, 0, None);
     let mut last_reading = None;
@@ -304,7 +317,7 @@ pub fn run<T: Real>(
     })
 }
 
-fn moment<T: Real>(aligner: &Aligner<T>, simulation: &Simulation, t: f64) -> Option<Moment> {
+fn moment<T: Real, const B: usize>(aligner: &Aligner<T, B>, simulation: &Simulation, t: f64) -> Option<Moment> {
     use frames::units::{DEG, DEG_PER_HOUR, MICRO_G};
     let reading = Reading::from_estimate(&aligner.estimate()?);
     let truth = Angles::from_attitude(&simulation.truth().attitude(t));

@@ -25,6 +25,10 @@ table! {
             gyro_instability_deg_h: f64 = 0.0, [0.0, 10000.0];
             /// Its correlation time, s.
             gyro_instability_tau_s: f64 = 100.0, [0.1, 1000000.0];
+            /// Scale factors of the gyros after calibration, 1σ, ppm.
+            gyro_scale_factor_sd_ppm: f64 = 0.0, [0.0, 100000.0];
+            /// Misalignments of the gyros after calibration, each off-diagonal term, 1σ, arc minutes.
+            gyro_misalignment_sd_arcmin: f64 = 0.0, [0.0, 600.0];
             /// Bias instability of the accelerometers as a first-order Gauss–Markov process, 1σ, µg. Zero: none.
             accel_instability_ug: f64 = 0.0, [0.0, 100000.0];
             /// Its correlation time, s.

@@ -140,16 +140,34 @@ fn a_log_replays_to_the_run_it_was_written_by() {
 }
 
 #[test]
-fn a_base_that_moves_is_refused() {
+fn a_base_that_moves_is_refused_by_the_papers_filter() {
     let dir = TempDir::new().unwrap();
     let run = hal_sim(
         dir.path(),
-        &["run", "--scenario", "moored", "--log", "moored.csv", "--quiet"],
+        &[
+            "run",
+            "--scenario",
+            "moored",
+            "--method",
+            "kf",
+            "--log",
+            "moored.csv",
+            "--quiet",
+        ],
     );
     assert_eq!(run.status.code(), Some(1), "{run:?}");
     let output = hal_sim(
         dir.path(),
-        &["replay", "moored.csv", "--latitude-deg", "40", "--json", "--quiet"],
+        &[
+            "replay",
+            "moored.csv",
+            "--latitude-deg",
+            "40",
+            "--method",
+            "kf",
+            "--json",
+            "--quiet",
+        ],
     );
     assert_eq!(output.status.code(), Some(1), "{output:?}");
     let replay = json(&output);

@@ -40,7 +40,7 @@ impl Port {
 
 fn run(scenario: &Scenario, seed: u64) -> (Port, UnitResult) {
     let mut port = Port::default();
-    let result = unit_sim::run(scenario, seed, Method::Kf, &mut port).unwrap();
+    let result = unit_sim::run(scenario, seed, Method::Robust, &mut port).unwrap();
     (port, result)
 }
 

@@ -11,7 +11,7 @@ fn paper() -> Scenario {
 }
 
 fn run(scenario: &Scenario, seed: u64) -> UnitResult {
-    unit_sim::run(scenario, seed, Method::Kf, &mut ()).unwrap()
+    unit_sim::run(scenario, seed, Method::Robust, &mut ()).unwrap()
 }
 
 fn rms(values: impl IntoIterator<Item = f64>) -> f64 {
@@ -40,7 +40,7 @@ fn one_seed_one_log() {
     });
     let run = || {
         let mut lines = Lines::default();
-        let result = unit_sim::run(&scenario, 5, Method::Kf, &mut lines).unwrap();
+        let result = unit_sim::run(&scenario, 5, Method::Robust, &mut lines).unwrap();
         (result, lines.0)
     };
     let (a, b) = (run(), run());

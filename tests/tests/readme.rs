@@ -26,7 +26,7 @@ fn row(name: &str) -> Vec<String> {
 #[test]
 fn the_table_is_what_the_command_prints() {
     let scenario = Scenario::builtin("paper-sim").unwrap();
-    let report = monte_carlo::run(&scenario, 200, 1, &[Method::Kf], || ()).unwrap();
+    let report = monte_carlo::run(&scenario, 200, 1, &[Method::Robust], || ()).unwrap();
     let cells = |s: &Statistics| {
         vec![
             format!("{:.3}°", s.heading.rms_deg),

@@ -293,7 +293,7 @@ fn compare(setup: &Setup, outcome: &Outcome) -> Result<Option<Compared>, String>
     };
     let mut scenario = setup.scenario.clone();
     scenario.run.duration_s = last.t_s - aligning_s;
-    let result = unit_sim::run(&scenario, setup.seed, Method::Kf, &mut ()).map_err(words)?;
+    let result = unit_sim::run(&scenario, setup.seed, Method::Robust, &mut ()).map_err(words)?;
     Ok(result.last.map(|simulated| Compared {
         t_s: simulated.t_s,
         error: simulated.error,

@@ -49,6 +49,7 @@ use embassy_time::{Delay, Duration, Instant};
 use frames::units::DEG_PER_HOUR;
 use nav::aligner::{Aligner, AlignerConfig, AlignerError};
 use nav::increment::Sample;
+use nav::model::{PAPER, ROBUST};
 use serde::Serialize;
 use vtime::{Executor, Failure, Level, LocalRawMutex, TaskId, now_ns, sleep_until_ns};
 
@@ -223,12 +224,12 @@ pub trait Observer {
 impl Observer for () {}
 
 /// The core alone, beside the unit.
-struct Core {
-    aligner: Aligner<f32>,
+struct Core<const B: usize> {
+    aligner: Aligner<f32, B>,
     last: Option<Navigation>,
 }
 
-impl Core {
+impl<const B: usize> Core<B> {
     fn take(&mut self, t_us: u64, measured: &Measured, dt: f64, alpha: f64) {
         let sample = Sample {
             dtheta_s: measured.dtheta_s,
@@ -294,7 +295,7 @@ impl EdgeCapture for Ready {
 }
 
 /// Devices, wires and physics: what outlives a reset of the unit.
-struct Bench {
+struct Bench<const B: usize> {
     world: World,
     imu: Part<device::Adis16495>,
     encoder: Part<device::Mt6835>,
@@ -303,7 +304,7 @@ struct Bench {
     timer: RefCell<Option<PwmSink>>,
     rotor: rotor::Config,
     correction: Harmonics<HARMONICS>,
-    aligner: AlignerConfig<f32>,
+    aligner: AlignerConfig<f32, B>,
     alignment: AlignmentConfig,
     sampling: SamplingConfig,
     tasks: Rc<RefCell<Vec<TaskId>>>,
@@ -314,9 +315,9 @@ struct Bench {
 }
 
 /// The timer in the hands of the unit that runs; it goes back to the bench with a reset.
-struct Timer(Rc<Bench>, Option<PwmSink>);
+struct Timer<const B: usize>(Rc<Bench<B>>, Option<PwmSink>);
 
-impl drivers::motor::ThreePhase for Timer {
+impl<const B: usize> drivers::motor::ThreePhase for Timer<B> {
     fn set_duties(&mut self, duties: [drivers::motor::Duty; 3]) {
         if let Some(timer) = &mut self.1 {
             timer.set_duties(duties);
@@ -333,7 +334,7 @@ impl drivers::motor::ThreePhase for Timer {
     }
 }
 
-impl Drop for Timer {
+impl<const B: usize> Drop for Timer<B> {
     fn drop(&mut self) {
         *self.0.timer.borrow_mut() = self.1.take();
     }
@@ -349,8 +350,20 @@ pub fn run(
     method: Method,
     observer: &mut dyn Observer,
 ) -> Result<UnitResult, UnitError> {
+    match method {
+        Method::Kf | Method::Stf => run_with::<PAPER>(scenario, seed, method, observer),
+        Method::Robust => run_with::<ROBUST>(scenario, seed, method, observer),
+    }
+}
+
+fn run_with<const B: usize>(
+    scenario: &Scenario,
+    seed: u64,
+    method: Method,
+    observer: &mut dyn Observer,
+) -> Result<UnitResult, UnitError> {
     let truth = Rc::new(Truth::new(scenario, seed)?);
-    let bench = Rc::new(bench(scenario, seed, method, &truth)?);
+    let bench = Rc::new(bench::<B>(scenario, seed, method, &truth)?);
     let record = Rc::clone(&bench.record);
     let lines = Rc::clone(&record);
     let _recording = Recording::to(Box::new(move |line| lines.borrow_mut().lines.push(line)));
@@ -451,7 +464,7 @@ fn moment(navigation: &Navigation, truth: &Truth) -> Option<UnitMoment> {
 }
 
 /// What a unit in this scenario is made of and told.
-fn bench(scenario: &Scenario, seed: u64, method: Method, truth: &Truth) -> Result<Bench, UnitError> {
+fn bench<const B: usize>(scenario: &Scenario, seed: u64, method: Method, truth: &Truth) -> Result<Bench<B>, UnitError> {
     let made = Made::new(scenario, seed);
     let (plant, edge) = (&made.plant, made.plant.home_edge);
     let schedule = Setup::of(scenario, method).rotor;
@@ -492,8 +505,8 @@ fn bench(scenario: &Scenario, seed: u64, method: Method, truth: &Truth) -> Resul
         model.set_angle(physics.at(ns, |physics| physics.plant.shaft_angle()));
     });
     let setup = Setup::of(scenario, method);
-    let aligner = setup.config::<f32>();
-    Aligner::<f32>::new(aligner).map_err(UnitError::Aligner)?;
+    let aligner = setup.config::<f32, B>();
+    Aligner::<f32, B>::new(aligner).map_err(UnitError::Aligner)?;
     // Earth's rate and 5σ of the biases of three gyros.
     let rest_rate = (15.04 + 5.0 * 3.0_f64.sqrt() * setup.unit.gyro_bias_sd_deg_h) * DEG_PER_HOUR;
     Ok(Bench {
@@ -527,11 +540,11 @@ fn bench(scenario: &Scenario, seed: u64, method: Method, truth: &Truth) -> Resul
 }
 
 /// Physics, IMU clock, watchdog and faults.
-fn spawn_world(
+fn spawn_world<const B: usize>(
     executor: &mut Executor<'_>,
-    bench: &Rc<Bench>,
+    bench: &Rc<Bench<B>>,
     truth: &Rc<Truth>,
-    core: &Rc<RefCell<Core>>,
+    core: &Rc<RefCell<Core<B>>>,
     scenario: &Scenario,
     seed: u64,
 ) {
@@ -592,7 +605,7 @@ fn spawn_world(
     });
 }
 
-impl Breakable for Rc<Bench> {
+impl<const B: usize> Breakable for Rc<Bench<B>> {
     fn imu(&mut self, set: &dyn Fn(&mut device::ImuFaults)) {
         self.imu.with(|model| set(&mut model.faults));
     }
@@ -637,7 +650,7 @@ impl Breakable for Rc<Bench> {
 }
 
 /// Starts the unit's program.
-fn boot(executor: &mut Executor<'_>, bench: &Rc<Bench>) -> Result<(), UnitError> {
+fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>) -> Result<(), UnitError> {
     let shared = Rc::new(Bus::new());
     *bench.shared.borrow_mut() = Rc::clone(&shared);
     let timing = |hz| SpiTiming {
@@ -677,7 +690,7 @@ fn boot(executor: &mut Executor<'_>, bench: &Rc<Bench>) -> Result<(), UnitError>
     });
     motor.set_cost(Duration::from_micros(40));
 
-    let mut aligner = Box::new(Aligner::<f32>::new(bench.aligner).map_err(UnitError::Aligner)?);
+    let mut aligner = Box::new(Aligner::<f32, B>::new(bench.aligner).map_err(UnitError::Aligner)?);
     let (config, s) = (bench.alignment, Rc::clone(&shared));
     let alignment = executor.spawn("alignment", Level::Thread, async move {
         alignment::run(&s, &mut aligner, config).await
@@ -714,7 +727,7 @@ fn boot(executor: &mut Executor<'_>, bench: &Rc<Bench>) -> Result<(), UnitError>
 }
 
 /// Starts the unit's serial port and the other end of its line. What is on the way at a reset is lost.
-fn serial(executor: &mut Executor<'_>, bench: &Rc<Bench>) -> [TaskId; 2] {
+fn serial<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>) -> [TaskId; 2] {
     let shared = Rc::clone(&bench.shared.borrow());
     let (_, tx, mut host) = uart(UartConfig::default(), stream(bench.seed, Stream::Serial));
     let output = executor.spawn("output", Level::Thread, async move {

@@ -15,7 +15,7 @@ use minikalman::prelude::*;
 use minikalman::regular::builder::KalmanFilterBuilder;
 use nalgebra::{Const, Matrix3, SMatrix, SVector, Vector3};
 use nav::covariance::Covariance;
-use nav::fine::BLOCKS;
+use nav::model::PAPER;
 use target_check::cost::{self, Dense};
 
 type H = SMatrix<f32, 3, 12>;
@@ -122,7 +122,7 @@ macro_rules! minikalman {
 #[divan::bench]
 fn nav_blocks(bencher: Bencher<'_, '_>) {
     let (model, q) = (cost::sparse_model(), cost::process_noise());
-    let mut p = Covariance::<f32, BLOCKS>::diagonal(cost::prior());
+    let mut p = Covariance::<f32, PAPER>::diagonal(cost::prior());
     bencher.bench_local(|| cost::sparse_step(divan::black_box(&mut p), &model, &q));
 }
 
@@ -165,7 +165,7 @@ fn minikalman_regular(bencher: Bencher<'_, '_>) {
 
 /// All come to the same P after one step, as far as f32 goes.
 fn agree() {
-    let mut blocks = Covariance::<f32, BLOCKS>::diagonal(cost::prior());
+    let mut blocks = Covariance::<f32, PAPER>::diagonal(cost::prior());
     cost::sparse_step(&mut blocks, &cost::sparse_model(), &cost::process_noise());
     let blocks = Dense::from_fn(|i, j| blocks.block(i / 3, j / 3)[(i % 3, j % 3)]);
     let (phi, q, h) = cost::dense_model();

@@ -91,7 +91,7 @@ pub fn run(aligner: &mut Core, motion: &mut Motion) -> Outcome {
             continue;
         }
         if let Some((innovation, ratio)) = aligner.innovation() {
-            said.push(&innovation.velocity.to_array());
+            said.push(&innovation.excess.to_array());
             said.push(&[innovation.normalised_squared, ratio]);
         }
         let Some(estimate) = aligner.estimate() else { continue };

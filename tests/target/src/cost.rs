@@ -17,8 +17,9 @@ use nav::aligner::Mode;
 use nav::coarse::Coarse;
 use nav::covariance::{Coupling, Covariance};
 use nav::earth::Earth;
-use nav::fine::{BA, BG, BLOCKS, DV, FilterConfig, FineFilter, PHI};
+use nav::fine::{FilterConfig, FineFilter};
 use nav::increment::{Increment, Sample};
+use nav::model::{BA, BG, DV, PAPER, PHI, ROBUST};
 
 use crate::bits::{self, Core};
 use crate::motion::{LATITUDE, Motion};
@@ -78,7 +79,7 @@ pub fn couplings() -> [(usize, usize, Matrix3<f32>); 5] {
 }
 
 /// Variances to start from, by block, SI.
-pub fn prior() -> [Vector3<f32>; BLOCKS] {
+pub fn prior() -> [Vector3<f32>; PAPER] {
     [
         Vector3::new(1e-5, 1e-5, 2.5),
         Vector3::repeat(1e-8),
@@ -88,7 +89,7 @@ pub fn prior() -> [Vector3<f32>; BLOCKS] {
 }
 
 /// Process noise of a second, by block of the diagonal, SI.
-pub fn process_noise() -> [f32; BLOCKS] {
+pub fn process_noise() -> [f32; PAPER] {
     [3.4e-11, 1e-8, 1e-14, 1e-14]
 }
 
@@ -97,12 +98,12 @@ pub fn process_noise() -> [f32; BLOCKS] {
 pub const R: f32 = 1e-5;
 
 /// One prediction and one measurement of three components with nav's covariance.
-pub fn sparse_step(p: &mut Covariance<f32, BLOCKS>, couplings: &[Coupling<f32>; 5], q: &[f32; BLOCKS]) {
+pub fn sparse_step(p: &mut Covariance<f32, PAPER>, couplings: &[Coupling<f32>; 5], q: &[f32; PAPER]) {
     p.propagate(couplings);
     for (block, q) in q.iter().enumerate() {
         p.add(block, block, &(Matrix3::identity() * *q));
     }
-    black_box(p.update_block(DV, R));
+    black_box(p.update_block(DV, [R; 3]));
 }
 
 /// A dense 12 × 12 matrix.
@@ -177,16 +178,38 @@ fn filter(counter: &mut impl Counter, tell: &mut impl FnMut(Line)) {
     let Ok(earth) = Earth::new(f32::lit(LATITUDE), 0.0) else {
         return;
     };
+    if let Some((strapdown, measured)) = fine::<PAPER>(counter, &earth) {
+        tell(line("strapdown and model, 12 states: one increment", strapdown));
+        tell(limited(
+            "fine filter, 12 states: prediction, measurement and feedback",
+            measured,
+            6000,
+        ));
+    }
+    if let Some((strapdown, measured)) = fine::<ROBUST>(counter, &earth) {
+        tell(line("strapdown and model, 30 states: one increment", strapdown));
+        tell(line(
+            "fine filter, 30 states: prediction, measurement and feedback",
+            measured,
+        ));
+    }
+
+    let increment = black_box(increment());
+    let mut coarse = Coarse::<f32>::new();
+    let coarse = counter.mean(1000, &mut || black_box(&mut coarse).push(&increment));
+    tell(line("coarse alignment: one increment", coarse));
+}
+
+/// The fine filter with `B` blocks: one increment, and what a measurement takes beyond that.
+fn fine<const B: usize>(counter: &mut impl Counter, earth: &Earth) -> Option<(u32, u32)> {
     let every = |measure_every| {
-        let config = FilterConfig {
+        let config = FilterConfig::<f32, B> {
             measure_every,
             ..FilterConfig::default()
         };
-        FineFilter::new(config, earth, Rot::identity()).ok()
+        FineFilter::new(config, *earth, Rot::identity(), None).ok()
     };
-    let (Some(mut never), Some(mut always)) = (every(1e9_f32), every(0.0)) else {
-        return;
-    };
+    let (mut never, mut always) = (every(1e9_f32)?, every(0.0)?);
     let increment = black_box(increment());
     let strapdown = counter.mean(1000, &mut || {
         black_box(never.step(&increment));
@@ -195,16 +218,7 @@ fn filter(counter: &mut impl Counter, tell: &mut impl FnMut(Line)) {
     let measured = counter.mean(1000, &mut || {
         black_box(always.step(&increment));
     });
-    tell(line("strapdown: one increment", strapdown));
-    tell(limited(
-        "fine filter: prediction, measurement and feedback",
-        measured - strapdown,
-        6000,
-    ));
-
-    let mut coarse = Coarse::<f32>::new();
-    let coarse = counter.mean(1000, &mut || black_box(&mut coarse).push(&increment));
-    tell(line("coarse alignment: one increment", coarse));
+    Some((strapdown, measured - strapdown))
 }
 
 /// The same step with dense matrices.

@@ -197,11 +197,11 @@ impl<T: Real, const B: usize> Covariance<T, B> {
         }
     }
 
-    /// Takes a measurement of all three components of block `measured`, each with noise variance `r` > 0: what
+    /// Takes a measurement of all three components of block `measured`, with noise variances `r` > 0: what
     /// [`Covariance::update`] does for one axis after the other, but going over P once.
     ///
     /// The gains are in the order in which the components are to be taken.
-    pub fn update_block(&mut self, measured: usize, r: T) -> [Gain<T, B>; 3] {
+    pub fn update_block(&mut self, measured: usize, r: [T; 3]) -> [Gain<T, B>; 3] {
         // The rows that are measured, as they are after each step.
         let mut rows = [[Vector3::zeros(); B]; 3];
         for i in 0..B {
@@ -213,7 +213,7 @@ impl<T: Real, const B: usize> Covariance<T, B> {
         let gains: [Gain<T, B>; 3] = core::array::from_fn(|axis| {
             let factors = rows.map(|row| row[measured][axis]);
             let p_kk = factors[axis];
-            let r = at_least(r, p_kk);
+            let r = at_least(r[axis], p_kk);
             let innovation_var = p_kk + r;
             let inverse = T::one() / innovation_var;
             // What is left of the row itself, where nearly all cancels: P_kj − P_kk P_kj/s = P_kj r/s.
@@ -427,9 +427,10 @@ mod tests {
         fn three_components_at_once_are_three_one_by_one(seed in 0..1000_u32, measured in 0..4_usize, r in 1e-4..10.0_f64) {
             let mut p = some_covariance(seed);
             let mut one_by_one = p;
+            let r = [r, 0.7 * r, 2.0 * r];
             let gains = p.update_block(measured, r);
             for (axis, gain) in gains.iter().enumerate() {
-                let expected = one_by_one.update(measured, axis, r);
+                let expected = one_by_one.update(measured, axis, r[axis]);
                 prop_assert!((gain.innovation_var - expected.innovation_var).abs() < 1e-12);
                 for (part, expected) in gain.column.iter().zip(&expected.column) {
                     prop_assert!((part - expected).norm() < 1e-12);

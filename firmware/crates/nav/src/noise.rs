@@ -12,6 +12,8 @@ use frames::{Real, units};
 /// | `velocity_random_walk` | m/s/√s | none | 10 µg/√Hz |
 /// | `gyro_instability_sd` | rad/s | biases constant | – |
 /// | `gyro_instability_tau` | s | refused, unless the sd is zero | – |
+/// | `gyro_scale_factor_sd` | – | scale factors known | – |
+/// | `gyro_misalignment_sd` | rad | axes known | – |
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImuNoise<T: Real = f32> {
     /// 1σ of the turn-on bias of a gyro, rad/s.
@@ -26,6 +28,10 @@ pub struct ImuNoise<T: Real = f32> {
     pub gyro_instability_sd: T,
     /// Correlation time of that part, s.
     pub gyro_instability_tau: T,
+    /// 1σ of the gyros' scale factors after calibration.
+    pub gyro_scale_factor_sd: T,
+    /// 1σ of the gyros' misalignments after calibration, rad.
+    pub gyro_misalignment_sd: T,
 }
 
 impl<T: Real> Default for ImuNoise<T> {
@@ -38,6 +44,8 @@ impl<T: Real> Default for ImuNoise<T> {
             velocity_random_walk: T::lit(10.0 * units::MICRO_G_PER_SQRT_HZ),
             gyro_instability_sd: T::zero(),
             gyro_instability_tau: T::zero(),
+            gyro_scale_factor_sd: T::zero(),
+            gyro_misalignment_sd: T::zero(),
         }
     }
 }
@@ -54,6 +62,8 @@ impl<T: Real> ImuNoise<T> {
             velocity_random_walk,
             gyro_instability_sd,
             gyro_instability_tau,
+            gyro_scale_factor_sd,
+            gyro_misalignment_sd,
         } = *self;
         [
             gyro_bias_sd,
@@ -61,6 +71,8 @@ impl<T: Real> ImuNoise<T> {
             velocity_random_walk,
             gyro_instability_sd,
             gyro_instability_tau,
+            gyro_scale_factor_sd,
+            gyro_misalignment_sd,
         ]
         .iter()
         .all(|x| x.finite() && *x >= zero)
@@ -77,5 +89,52 @@ impl<T: Real> ImuNoise<T> {
             return T::zero();
         }
         T::lit(2.0) * self.gyro_instability_sd * self.gyro_instability_sd / self.gyro_instability_tau
+    }
+
+    /// What is left of the Gauss–Markov part after `t` seconds: e^(−t/τ) by (1 − x/2)/(1 + x/2), x = t/τ, which is
+    /// x³/12 off and never grows; nothing beyond 2 τ.
+    pub fn gyro_instability_decay(&self, t: T) -> T {
+        if self.gyro_instability_sd == T::zero() {
+            return T::one();
+        }
+        let half = T::lit(0.5) * t / self.gyro_instability_tau;
+        ((T::one() - half) / (T::one() + half)).max(T::zero())
+    }
+
+    /// Variance that the Gauss–Markov part takes up in `t` seconds, (rad/s)²: what keeps it stationary.
+    pub fn gyro_instability_kick_var(&self, t: T) -> T {
+        let decay = self.gyro_instability_decay(t);
+        self.gyro_instability_sd * self.gyro_instability_sd * (T::one() - decay * decay)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gauss_markov_part_decays_and_stays_stationary() {
+        let noise = ImuNoise::<f64> {
+            gyro_instability_sd: 2.0,
+            gyro_instability_tau: 100.0,
+            ..ImuNoise::default()
+        };
+        // e^(−0.1)
+        assert!((noise.gyro_instability_decay(10.0) - 0.904_837_418).abs() < 1e-4);
+        assert_eq!(noise.gyro_instability_decay(1000.0), 0.0);
+        let mut var = 4.0;
+        for t in [1.0, 10.0, 50.0] {
+            let decay = noise.gyro_instability_decay(t);
+            var = var * decay * decay + noise.gyro_instability_kick_var(t);
+            assert!((var - 4.0).abs() < 1e-12);
+        }
+        let constant = ImuNoise::<f64>::default();
+        assert_eq!(
+            (
+                constant.gyro_instability_decay(10.0),
+                constant.gyro_instability_kick_var(10.0)
+            ),
+            (1.0, 0.0)
+        );
     }
 }

@@ -1,0 +1,261 @@
+//! The model of the strapdown's errors: which states there are, how they move over an interval, what noise they take.
+//!
+//! The states come in blocks of three, in an order in which every shorter list is a filter of its own:
+//!
+//! | blocks | states | what it knows |
+//! |---|---|---|
+//! | [`PAPER`] = 4 | φ, δV, ε, ∇ | \[Xing18\] (19), (20): zero velocity is measured |
+//! | 5 | + δp | zero displacement is measured instead: the base may sway |
+//! | 6 | + x | the part of the gyro biases that wanders, as a Gauss–Markov process |
+//! | 7 | + m_z | what the rotor's own turning makes of the z column of M: \[Du16\] (14)–(25) |
+//! | 9 | + m_x, m_y | all of M: scale factors and misalignments of the gyros |
+//! | [`ROBUST`] = 10 | + δω | Earth's rate in the strapdown's own level frame: no heading is needed to start from |
+//!
+//! With `C' = (I − [φ×]) C`, `V' = V + δV`, `p' = p + δp`, and ε, x, M, ∇ what the corrections still lack
+//! (\[Xing18\] (19), (20); the printed `−g^n×` is `[f^n×]`, g^n pointing down):
+//!
+//! ```text
+//! φ̇  = −ω_ie^n × φ − δω − C_s^n (ε + x + M ω_is^s)    δV̇ = f^n × φ + C_s^n ∇    δṗ = δV    ẋ = −x/τ + noise
+//! ```
+//!
+//! δω makes the search for north linear. A heading error of any size turns Earth's level rate, and nothing else that
+//! matters here, in the frame that the strapdown works in; so the two level components of δω are estimated in place
+//! of φ_U, heading is where they point, and their length, ω_ie cos L, is used once the direction is known (see
+//! [`FineFilter::close_loop`](crate::fine::FineFilter::close_loop)). After that δω is what a wrong latitude leaves.
+//!
+//! Over an interval T every error that drives attitude with `D` (C for a bias, C ω_k for column k of M, 1 for δω) acts by
+//!
+//! ```text
+//! φ:  −∫D        δV:  −∫[f^n×]∫D        δp:  −∬[f^n×]∫D
+//! ```
+//!
+//! f^n is `[0 0 g]`, as in the paper, and not what the accelerometers say: a base that is measured to stay
+//! where it is does not accelerate in the mean. A level part of the measured force is a tilt not yet found, and to
+//! take it for real would let the filter believe that it sees heading (σ of 1.1° with errors of 8° after 60 s).
+
+use frames::{Real, Sensor, Vec3};
+use heapless::Vec;
+use nalgebra::Matrix3;
+
+use crate::{
+    covariance::{Coupling, Covariance},
+    earth::Earth,
+    noise::ImuNoise,
+};
+
+/// Block of the attitude errors φ_E, φ_N, φ_U, rad.
+pub const PHI: usize = 0;
+/// Block of the velocity errors δV_E, δV_N, δV_U, m/s.
+pub const DV: usize = 1;
+/// Block of the gyro bias errors ε_x, ε_y, ε_z in s, rad/s.
+pub const BG: usize = 2;
+/// Block of the accelerometer bias errors ∇_x, ∇_y, ∇_z in s, m/s².
+pub const BA: usize = 3;
+/// Block of the displacement errors δp_E, δp_N, δp_U, m.
+pub const DP: usize = 4;
+/// Block of the Gauss–Markov parts of the gyro biases x_x, x_y, x_z in s, rad/s.
+pub const GM: usize = 5;
+/// Block of the third column of M: what a rate about z adds to each gyro.
+pub const MZ: usize = 6;
+/// Block of the first column of M.
+pub const MX: usize = 7;
+/// Block of the second column of M.
+pub const MY: usize = 8;
+
+/// Block of the error of Earth's rate in the strapdown's frame, δω_E, δω_N, δω_U, rad/s.
+pub const WE: usize = 9;
+
+/// Number of blocks of the paper's filter: twelve states.
+pub const PAPER: usize = 4;
+/// Number of blocks of the filter that needs no tuning between laboratory and deck: 30 states.
+pub const ROBUST: usize = 10;
+
+/// The columns of M by component of the rate, in the order of their blocks.
+pub(crate) const COLUMNS: [(usize, usize); 3] = [(MZ, 2), (MX, 0), (MY, 1)];
+
+/// Most blocks of Φ − I that are not zero.
+const MOST_COUPLINGS: usize = 25;
+
+/// What a constant error does to the strapdown by the end of the interval.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Response<T: Real> {
+    /// To attitude (velocity, for an accelerometer).
+    first: Matrix3<T>,
+    /// To velocity (displacement).
+    second: Matrix3<T>,
+    /// To displacement.
+    third: Matrix3<T>,
+}
+
+impl<T: Real> Response<T> {
+    fn new() -> Self {
+        Self {
+            first: Matrix3::zeros(),
+            second: Matrix3::zeros(),
+            third: Matrix3::zeros(),
+        }
+    }
+}
+
+/// The parts of Φ and Q that build up between two measurements.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Interval<T: Real, const B: usize> {
+    dt: T,
+    /// Of a gyro bias, and of the columns of M as [`COLUMNS`] has them.
+    bias: Response<T>,
+    columns: [Response<T>; 3],
+    /// Of δω, which drives with the identity.
+    earth: Response<T>,
+    /// Of an accelerometer bias; `third` is not used.
+    accel: Response<T>,
+    /// Variance added to each attitude error by what the samples do not tell (gaps), rad².
+    phi_var: T,
+    /// Variance added to each velocity error likewise, (m/s)².
+    dv_var: T,
+}
+
+impl<T: Real, const B: usize> Interval<T, B> {
+    pub(crate) fn new() -> Self {
+        let zero = T::zero();
+        Self {
+            dt: zero,
+            bias: Response::new(),
+            columns: [Response::new(); 3],
+            earth: Response::new(),
+            accel: Response::new(),
+            phi_var: zero,
+            dv_var: zero,
+        }
+    }
+
+    /// Time since the last measurement, s.
+    pub(crate) fn dt(&self) -> T {
+        self.dt
+    }
+
+    /// Says that the samples have missed a turn (rad) and a velocity change (m/s) of these 1σ on each axis.
+    pub(crate) fn doubt(&mut self, phi_sd: T, dv_sd: T) {
+        self.phi_var += phi_sd * phi_sd;
+        self.dv_var += dv_sd * dv_sd;
+    }
+
+    /// Adds `dt` seconds with the attitude `c_ns` in their middle, in which s turned by `phi_s`.
+    pub(crate) fn push(&mut self, dt: T, phi_s: Vec3<Sensor, T>, c_ns: &Matrix3<T>, earth: &Earth<T>) {
+        let half = T::lit(0.5);
+        let g = earth.gravity();
+        // [f^n ×] of f^n = [0 0 g]: rows (−g·north, g·east, 0).
+        let lever = |m: &Matrix3<T>, dt: T| {
+            let k = g * dt;
+            Matrix3::from_fn(|row, col| match row {
+                0 => -m[(1, col)] * k,
+                1 => m[(0, col)] * k,
+                _ => T::zero(),
+            })
+        };
+        let add = |response: &mut Response<T>, drive: Matrix3<T>| {
+            let second = response.second + lever(&(response.first + drive * half), dt);
+            if B > DP {
+                response.third += (response.second + second) * (half * dt);
+            }
+            response.second = second;
+            response.first += drive;
+        };
+        add(&mut self.bias, c_ns * dt);
+        for ((block, axis), column) in COLUMNS.iter().zip(&mut self.columns) {
+            if B > *block {
+                add(column, c_ns * phi_s.vector()[*axis]);
+            }
+        }
+        if B > WE {
+            add(&mut self.earth, Matrix3::identity() * dt);
+        }
+        let drive = c_ns * dt;
+        if B > DP {
+            self.accel.second += (self.accel.first + drive * half) * dt;
+        }
+        self.accel.first += drive;
+        self.dt += dt;
+    }
+
+    /// Φ − I.
+    pub(crate) fn couplings(&self, noise: &ImuNoise<T>, earth: &Earth<T>) -> Vec<Coupling<T>, MOST_COUPLINGS> {
+        let mut all = Vec::new();
+        let mut couple = |row: usize, col: usize, block: Matrix3<T>| {
+            // The capacity is that of the full list.
+            let pushed = all.push(Coupling { row, col, block });
+            debug_assert!(pushed.is_ok(), "MOST_COUPLINGS");
+        };
+        let t = self.dt;
+        let half = T::lit(0.5) * t;
+        let identity = Matrix3::identity();
+        let f_t = (-earth.g_n() * t).skew();
+        // In the order in which `Covariance::propagate` can do without a copy: what reads before what is read.
+        if B > DP {
+            couple(DP, DV, identity * t);
+            couple(DP, PHI, f_t * half);
+            couple(DP, BA, self.accel.second);
+            self.gyro_errors(|col, response| couple(DP, col, -response.third));
+        }
+        couple(DV, PHI, f_t);
+        couple(DV, BA, self.accel.first);
+        self.gyro_errors(|col, response| couple(DV, col, -response.second));
+        couple(PHI, PHI, -(earth.w_ie_n() * t).skew());
+        self.gyro_errors(|col, response| couple(PHI, col, -response.first));
+        if B > GM {
+            couple(GM, GM, identity * (noise.gyro_instability_decay(t) - T::one()));
+        }
+        all
+    }
+
+    /// Every block that drives attitude as a gyro error does, and how.
+    fn gyro_errors(&self, mut each: impl FnMut(usize, Response<T>)) {
+        each(BG, self.bias);
+        if B > GM {
+            each(GM, self.bias);
+        }
+        for ((block, _), column) in COLUMNS.iter().zip(&self.columns) {
+            if B > *block {
+                each(*block, *column);
+            }
+        }
+        if B > WE {
+            each(WE, self.earth);
+        }
+    }
+
+    /// Adds the noise of the interval: Q.
+    ///
+    /// White noise is the same in s and in n. The angle walk, density q, reaches velocity and displacement through
+    /// f^n, taken as constant: `∫∫` of its chain gives T, T²/2, T³/6; T³/3, T⁴/8; T⁵/20. The velocity walk likewise
+    /// with one integral less.
+    pub(crate) fn add_noise(&self, p: &mut Covariance<T, B>, noise: &ImuNoise<T>, earth: &Earth<T>) {
+        let t = self.dt;
+        let over = |divisor: f64| T::lit(1.0 / divisor);
+        let identity = Matrix3::identity();
+        let walk = noise.angle_random_walk * noise.angle_random_walk * t;
+        let velocity = noise.velocity_random_walk * noise.velocity_random_walk * t;
+        let f_t = (-earth.g_n() * t).skew();
+        // f^n × f^n ×, the level components alone.
+        let f2 = -(f_t * f_t);
+        p.add(PHI, PHI, &(identity * (walk + self.phi_var)));
+        p.add(PHI, DV, &(f_t.transpose() * (walk * over(2.0))));
+        p.add(DV, DV, &(identity * (velocity + self.dv_var) + f2 * (walk * over(3.0))));
+        if B > DP {
+            p.add(PHI, DP, &(f_t.transpose() * (walk * t * over(6.0))));
+            let cross = identity * ((velocity * over(2.0) + self.dv_var) * t) + f2 * (walk * t * over(8.0));
+            p.add(DV, DP, &cross);
+            let displacement = identity * ((velocity * over(3.0) + self.dv_var) * t * t);
+            p.add(DP, DP, &(displacement + f2 * (walk * t * t * over(20.0))));
+        }
+        if B > GM {
+            p.add(GM, GM, &(identity * noise.gyro_instability_kick_var(t)));
+        } else {
+            p.add(BG, BG, &(identity * (noise.gyro_bias_walk_psd() * t)));
+        }
+    }
+
+    /// What the walk adds to the attitude errors since the last measurement, and what was missed, rad².
+    pub(crate) fn phi_noise(&self, noise: &ImuNoise<T>) -> Matrix3<T> {
+        Matrix3::identity() * (noise.angle_random_walk * noise.angle_random_walk * self.dt + self.phi_var)
+    }
+}
