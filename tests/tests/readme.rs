@@ -6,6 +6,7 @@
 )]
 
 use hal_sim::align::Method;
+use hal_sim::bound::{self, BoundConfig};
 use hal_sim::monte_carlo::{self, Statistics};
 use hal_sim::scenario::Scenario;
 
@@ -39,4 +40,12 @@ fn the_table_is_what_the_command_prints() {
     };
     assert_eq!(row("coarse alignment alone"), cells(&report.coarse.unwrap()));
     assert_eq!(row("fine alignment"), cells(&report.fine.unwrap()));
+}
+
+#[test]
+fn the_ideal_filter_is_what_bound_prints() {
+    let scenario = Scenario::builtin("paper-sim").unwrap();
+    let bound = bound::run(&scenario, 1, &BoundConfig::default()).unwrap();
+    let said = format!("has a σ of {:.3}° in this scenario", bound.end.sd.heading_deg);
+    assert!(include_str!("../../README.md").contains(&said), "{said}");
 }
