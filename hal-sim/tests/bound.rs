@@ -27,7 +27,7 @@ fn the_table_its_limits_and_its_files() {
     let dir = TempDir::new().unwrap();
     fs::write(
         dir.path().join("own.toml"),
-        "[imu]\n[errors]\ngyro_scale_factor_ppm = 300\ngyro_quantum = 1e-7\n",
+        "[imu]\ngyro_scale_factor_sd_ppm = 300\n[errors]\ngyro_quantum = 1e-7\n",
     )
     .unwrap();
     let arguments = [
