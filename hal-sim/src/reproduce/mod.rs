@@ -19,6 +19,7 @@
 //! model must agree in its digits.
 
 pub mod figure;
+mod yu15;
 
 use std::fs;
 use std::io;
@@ -30,7 +31,7 @@ use serde::{Serialize, Serializer};
 use crate::plot::PlotError;
 
 /// All reproductions, in the order in which they run and print.
-pub const ALL: &[Reproduction] = &[];
+pub const ALL: &[Reproduction] = &[yu15::CLOSED_FORMS, yu15::CURVES, yu15::NORTH_FINDING];
 
 /// One reproduction: some tables or figures of one paper.
 #[derive(Debug, Clone, Copy)]
