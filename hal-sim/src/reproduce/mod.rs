@@ -18,6 +18,7 @@
 //! An experiment on a device that we do not have can only agree in its size ([`Criterion::Factor`]); what follows from a
 //! model must agree in its digits.
 
+mod du16;
 pub mod figure;
 mod yu15;
 
@@ -31,7 +32,14 @@ use serde::{Serialize, Serializer};
 use crate::plot::PlotError;
 
 /// All reproductions, in the order in which they run and print.
-pub const ALL: &[Reproduction] = &[yu15::CLOSED_FORMS, yu15::CURVES, yu15::NORTH_FINDING];
+pub const ALL: &[Reproduction] = &[
+    du16::TABLE_1,
+    du16::CALIBRATION,
+    du16::NAVIGATION,
+    yu15::CLOSED_FORMS,
+    yu15::CURVES,
+    yu15::NORTH_FINDING,
+];
 
 /// One reproduction: some tables or figures of one paper.
 #[derive(Debug, Clone, Copy)]
