@@ -111,7 +111,7 @@ async fn sampling(shared: &'static Bus, imu: Imu, edges: DataReady) -> ! {
 
 #[embassy_executor::task]
 async fn alignment(shared: &'static Bus, aligner: &'static mut Aligner) -> ! {
-    alignment::run(shared, aligner, params::alignment()).await
+    alignment::run(shared, aligner.as_align(), params::alignment()).await
 }
 
 #[embassy_executor::task]

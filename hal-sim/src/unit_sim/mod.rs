@@ -693,7 +693,7 @@ fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>) -> Re
     let mut aligner = Box::new(Aligner::<f32, B>::new(bench.aligner).map_err(UnitError::Aligner)?);
     let (config, s) = (bench.alignment, Rc::clone(&shared));
     let alignment = executor.spawn("alignment", Level::Thread, async move {
-        alignment::run(&s, &mut aligner, config).await
+        alignment::run(&s, &mut *aligner, config).await
     });
     alignment.set_cost(Duration::from_micros(150));
 

@@ -6,7 +6,7 @@
 use embassy_futures::select::{Either3, select3};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Timer};
-use nav::aligner::{self, Aligner};
+use nav::aligner::{Align, Event};
 
 use crate::fault::Task;
 use crate::log::Alignment;
@@ -50,11 +50,7 @@ enum Work {
 }
 
 /// The task. The aligner is the caller's: it is 40 kB, and belongs into a static.
-pub async fn run<M: RawMutex, const B: usize, const N: usize>(
-    shared: &Shared<M>,
-    aligner: &mut Aligner<f32, B, N>,
-    config: AlignmentConfig,
-) -> ! {
+pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, config: AlignmentConfig) -> ! {
     let mut work = Work::Idle;
     let mut since_published = 0;
     loop {
@@ -99,21 +95,15 @@ pub async fn run<M: RawMutex, const B: usize, const N: usize>(
     }
 }
 
-fn align<M: RawMutex, const B: usize, const N: usize>(
-    shared: &Shared<M>,
-    aligner: &mut Aligner<f32, B, N>,
-    sample: &TimedSample,
-    alpha: f32,
-    fresh: bool,
-) {
+fn align<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, sample: &TimedSample, alpha: f32, fresh: bool) {
     let mut increments = sample.sample;
     if fresh {
         // A gap beyond what is bridged makes the aligner start anew, in place and without telling a reason that is
         // none. An aligner that has only settled may go on.
-        increments.gap = 2.0 * aligner.config().longest_gap + 1.0;
+        increments.gap = 2.0 * aligner.longest_gap() + 1.0;
     }
     let told = aligner.step(&increments, alpha);
-    if fresh && matches!(told, Some(aligner::Event::Restarted(_))) {
+    if fresh && matches!(told, Some(Event::Restarted(_))) {
         return;
     }
     if let Some(event) = told {

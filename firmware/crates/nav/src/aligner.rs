@@ -662,11 +662,11 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         if !filter.is_sound() {
             return Some(self.restart(Restart::Diverged));
         }
-        if *replay == Replay::Drain && self.queue.is_empty() {
+        if matches!(replay, Replay::Drain) && self.queue.is_empty() {
             *replay = Replay::Live;
             return Some(Event::CaughtUp);
         }
-        if !measured || *replay != Replay::Live {
+        if !measured || !matches!(replay, Replay::Live) {
             return None;
         }
         let not_ready = self.not_ready_fine();
@@ -701,7 +701,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         match &self.stage {
             Stage::Settling { .. } => Mode::Settling,
             Stage::Coarse { .. } => Mode::Coarse,
-            Stage::Fine { replay, .. } if *replay != Replay::Live => Mode::CatchingUp,
+            Stage::Fine { replay, .. } if !matches!(replay, Replay::Live) => Mode::CatchingUp,
             Stage::Fine { aligned: false, .. } => Mode::Fine,
             Stage::Fine { .. } => Mode::Aligned,
         }
@@ -717,7 +717,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                 remaining: self.config.t_k2 - coarse.t(),
             }),
             #[expect(clippy::cast_possible_truncation, reason = "a queue of 2^32 increments is 100 GB")]
-            Stage::Fine { replay, .. } if *replay != Replay::Live => Some(NotReady::CatchingUp {
+            Stage::Fine { replay, .. } if !matches!(replay, Replay::Live) => Some(NotReady::CatchingUp {
                 queued: self.queue.len() as u32,
             }),
             Stage::Fine { .. } => self.not_ready_fine(),
@@ -794,6 +794,50 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
     /// Earth at the configured place.
     pub fn earth(&self) -> &Earth<T> {
         &self.earth
+    }
+}
+
+/// An aligner of any size in the target's precision, for those who only run it.
+pub trait Align {
+    /// [`Aligner::step`].
+    fn step(&mut self, sample: &Sample, alpha: f32) -> Option<Event>;
+    /// [`Aligner::mode`].
+    fn mode(&self) -> Mode;
+    /// [`Aligner::estimate`].
+    fn estimate(&self) -> Option<Estimate>;
+    /// [`Aligner::not_ready`].
+    fn not_ready(&self) -> Option<NotReady>;
+    /// Longest time without data that is bridged, s.
+    fn longest_gap(&self) -> f32;
+}
+
+impl<const B: usize, const N: usize> Align for Aligner<f32, B, N> {
+    fn step(&mut self, sample: &Sample, alpha: f32) -> Option<Event> {
+        self.step(sample, alpha)
+    }
+
+    fn mode(&self) -> Mode {
+        self.mode()
+    }
+
+    fn estimate(&self) -> Option<Estimate> {
+        self.estimate()
+    }
+
+    fn not_ready(&self) -> Option<NotReady> {
+        self.not_ready()
+    }
+
+    fn longest_gap(&self) -> f32 {
+        self.config.longest_gap
+    }
+}
+
+impl Aligner {
+    /// The unit's aligner, as one that is run. Not generic, and so compiled with this crate: an image that is built for
+    /// size still has its mathematics built for speed.
+    pub fn as_align(&mut self) -> &mut dyn Align {
+        self
     }
 }
 

@@ -57,7 +57,7 @@ impl<T: Real, const B: usize> StrongTracking<T, B> {
             && self.softening >= one
             && self.limit.finite()
             && self.limit >= one
-            && self.weights.iter().all(|w| w.iter().all(|a| a.finite() && *a >= zero))
+            && self.weights.iter().all(|w| w.sum().finite() && w.min() >= zero)
     }
 }
 
