@@ -49,7 +49,8 @@ pub const RANK_TOLERANCE: f64 = 1e-12;
 
 /// Vector of the error states.
 pub type State = SVector<f64, STATES>;
-type Matrix12 = SMatrix<f64, STATES, STATES>;
+/// Matrix over the error states.
+pub type Matrix12 = SMatrix<f64, STATES, STATES>;
 
 /// The axis of the body that the sensor turns about.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
@@ -351,6 +352,13 @@ impl Observability {
 /// State = scale × scaled state: gT, 1, g, 1/T.
 fn scales(g: f64, time: f64) -> State {
     State::from_fn(|k, _| [g * time, 1.0, g, time.recip()][k / 3])
+}
+
+/// F of (10) with F_n of (36), (37), in SI units: ẋ = F x of a body in this attitude, at this place.
+pub fn dynamics(attitude: &Attitude, earth: &Earth<f64>, segment: &Segment) -> Matrix12 {
+    let scale = scales(earth.gravity(), 1.0);
+    let f = system(segment, &attitude.c_nb(), earth, 1.0);
+    Matrix12::from_fn(|i, j| scale[i] * f[(i, j)] / scale[j])
 }
 
 /// F of (10) with F_n of (36), (37), in scaled states and scaled time.

@@ -19,6 +19,7 @@
 //! model must agree in its digits.
 
 mod du16;
+mod du17;
 pub mod figure;
 mod yu15;
 
@@ -36,6 +37,9 @@ pub const ALL: &[Reproduction] = &[
     du16::TABLE_1,
     du16::CALIBRATION,
     du16::NAVIGATION,
+    du17::OBSERVABILITY,
+    du17::ZUPT,
+    du17::ACCELERATION,
     yu15::CLOSED_FORMS,
     yu15::CURVES,
     yu15::NORTH_FINDING,
@@ -74,6 +78,7 @@ impl core::fmt::Display for Criterion {
         match *self {
             Self::Exact => write!(f, "equal"),
             Self::Relative(x) => write!(f, "±{} %", 100.0 * x),
+            Self::Absolute(x) if x < 1e-3 => write!(f, "±{x:e}"),
             Self::Absolute(x) => write!(f, "±{x}"),
             Self::Factor(x) => write!(f, "factor {x}"),
             Self::AtMost(x) => write!(f, "at most +{} %", 100.0 * x),
@@ -509,6 +514,18 @@ mod tests {
         names.dedup();
         assert_eq!(names.len(), ALL.len(), "two reproductions of one name");
         assert!(matches!(select("nothing"), Err(ReproduceError::Unknown(_))));
+    }
+
+    #[test]
+    fn what_differs_says_why() {
+        for reproduction in select("du17").unwrap().iter().chain(&select("yu15").unwrap()) {
+            let report = run(reproduction, 1, None, &|_| ()).unwrap();
+            assert!(!report.rows.is_empty() && report.files.is_empty());
+            for row in &report.rows {
+                assert!(row.ours.is_finite(), "{row:?}");
+                assert!(row.verdict != Verdict::Differs || !row.remark.is_empty(), "{row:?}");
+            }
+        }
     }
 
     #[test]

