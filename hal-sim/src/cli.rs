@@ -9,8 +9,10 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 use hal_sim::align::{self, Angles, Method, Setup};
+use hal_sim::allan::{self, AllanError};
 use hal_sim::bound::{self, Bound, BoundConfig};
 use hal_sim::bus::UartLine;
+use hal_sim::calibrate::{self, CalibrateError, Stand};
 use hal_sim::log::{LogRow, LogWarning, LogWriter};
 use hal_sim::monte_carlo::{self, Statistics};
 use hal_sim::observability::{self, Attitude, Axis, Segment};
@@ -57,6 +59,10 @@ enum Command {
     Unit(UnitArgs),
     /// Tell which errors of a resting, turning IMU its velocity makes observable
     Observability(ObservabilityArgs),
+    /// Allan deviation of a log at rest: the noise and bias figures of an IMU
+    Allan(AllanArgs),
+    /// Biases, misalignments and scale factor of the gyros from a log of a rest and a turn
+    Calibrate(CalibrateArgs),
     /// Reproduce the papers' tables and figures: what is published beside ours
     Reproduce(ReproduceArgs),
     /// List the built-in scenarios, or print one as a start for your own
@@ -205,6 +211,45 @@ struct ObservabilityArgs {
 }
 
 #[derive(Args)]
+struct AllanArgs {
+    /// CSV log of some hours at rest, as for `replay`
+    log: PathBuf,
+    /// Write the figures as a UNIT.toml for `replay`
+    #[arg(long, value_name = "UNIT.toml")]
+    unit: Option<PathBuf>,
+    /// Write the plot, as SVG
+    #[arg(long, value_name = "FILE", default_value = "report/allan.svg")]
+    plot: PathBuf,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
+struct CalibrateArgs {
+    /// CSV log of a minute at rest and a minute turning, as for `replay`
+    log: PathBuf,
+    /// Noise figures of the IMU (default: those of the main paper, Table 2)
+    #[arg(long, value_name = "UNIT.toml")]
+    unit: Option<PathBuf>,
+    /// Latitude of the place, degrees: with the heading, takes Earth's rate out of the biases of a level unit
+    #[arg(long, value_name = "L", allow_negative_numbers = true, requires = "heading_deg")]
+    latitude_deg: Option<f64>,
+    /// Heading of the housing, degrees clockwise from north
+    #[arg(long, value_name = "H", allow_negative_numbers = true, requires = "latitude_deg")]
+    heading_deg: Option<f64>,
+    /// Least time at rest, s
+    #[arg(long, value_name = "S", default_value_t = 60.0)]
+    rest_s: f64,
+    /// Write the log with its gyros corrected
+    #[arg(long, value_name = "FILE")]
+    corrected: Option<PathBuf>,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
 struct ReproduceArgs {
     /// What to reproduce: a name, or a paper's short name for all of the paper (without any: lists them)
     #[arg(value_name = "NAME", conflicts_with = "all")]
@@ -238,6 +283,8 @@ pub(crate) fn main() -> ExitCode {
         Command::Replay(args) => replay(&args, cli.quiet),
         Command::Unit(args) => unit(&args, cli.quiet),
         Command::Observability(args) => observe(&args),
+        Command::Allan(args) => allan(&args),
+        Command::Calibrate(args) => calibrate(&args),
         Command::Reproduce(args) => reproduce(&args, cli.quiet),
         Command::Scenarios { name } => scenarios(name.as_deref()),
     };
@@ -921,6 +968,59 @@ fn observability_table(found: &observability::Report) -> String {
         }
     }
     text
+}
+
+fn allan(args: &AllanArgs) -> Done {
+    let named = |e| format!("{}: {e}", args.log.display());
+    let report = allan::of_log(&args.log).map_err(|e| match e {
+        // A log's own errors begin with its name.
+        AllanError::Log(e) => e.to_string(),
+        other => named(other),
+    })?;
+    let cannot = |path: &Path, e: &dyn core::fmt::Display| format!("cannot write {}: {e}", path.display());
+    if let Some(folder) = args.plot.parent() {
+        std::fs::create_dir_all(folder).map_err(|e| cannot(folder, &e))?;
+    }
+    report.plot(&args.plot).map_err(|e| cannot(&args.plot, &e))?;
+    if let Some(unit) = &args.unit {
+        std::fs::write(unit, report.unit_toml()).map_err(|e| cannot(unit, &e))?;
+    }
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&report.table())?;
+        print(&format!("plot: {}\n", args.plot.display()))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn calibrate(args: &CalibrateArgs) -> Done {
+    let unit = args.unit.as_deref().map(Unit::load).transpose().map_err(words)?;
+    let setup = calibrate::Setup {
+        unit: unit.unwrap_or_default(),
+        stand: args
+            .latitude_deg
+            .zip(args.heading_deg)
+            .map(|(latitude_deg, heading_deg)| Stand {
+                latitude_deg,
+                heading_deg,
+            }),
+        rest_s: args.rest_s,
+    };
+    let named = |e: CalibrateError| match e {
+        CalibrateError::Log(_) | CalibrateError::Write(..) => e.to_string(),
+        other => format!("{}: {other}", args.log.display()),
+    };
+    let (calibration, report) = calibrate::of_log(&args.log, &setup).map_err(named)?;
+    if let Some(corrected) = &args.corrected {
+        calibrate::correct_log(&args.log, corrected, &calibration).map_err(named)?;
+    }
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&report.table())?;
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 fn reproduce(args: &ReproduceArgs, quiet: bool) -> Done {

@@ -13,8 +13,10 @@
 //! the firmware's own, in f32. Frames, signs and names are those of [`frames`].
 
 pub mod align;
+pub mod allan;
 pub mod bound;
 pub mod bus;
+pub mod calibrate;
 pub mod config;
 pub mod device;
 pub mod log;
