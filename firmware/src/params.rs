@@ -14,7 +14,7 @@ use drivers::harmonics::Harmonics;
 use drivers::mt6835;
 use frames::units::{DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ};
 use nav::aligner::AlignerConfig;
-use nav::fine::FilterConfig;
+use nav::fine::{FilterConfig, Method};
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 
@@ -115,6 +115,7 @@ pub fn aligner() -> AlignerConfig {
             gyro_scale_factor_sd: 0.0,
             gyro_misalignment_sd: 0.0,
         },
+        method: Method::strong_tracking(),
         ..FilterConfig::default()
     };
     AlignerConfig::for_rotor(LATITUDE, HEIGHT, &SCHEDULE, filter)

@@ -16,14 +16,16 @@ use crate::unit::Unit;
 
 /// The fine filter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "kebab-case")]
 pub enum Method {
     /// Kalman filter.
     Kf,
     /// Strong-tracking filter.
     Stf,
-    /// Kalman filter of all the states there are, with displacement measured and trusted as the base allows.
+    /// The unit's own: all the states there are, displacement measured and trusted as the base allows, strong-tracking.
     Robust,
+    /// The same without fading: a plain Kalman filter.
+    RobustKf,
 }
 
 impl Method {
@@ -33,13 +35,14 @@ impl Method {
             Self::Kf => "kf",
             Self::Stf => "stf",
             Self::Robust => "robust",
+            Self::RobustKf => "robust-kf",
         }
     }
 
     fn policy<T: Real, const B: usize>(self) -> fine::Method<T, B> {
         match self {
-            Self::Kf | Self::Robust => fine::Method::Kalman,
-            Self::Stf => fine::Method::strong_tracking(),
+            Self::Kf | Self::RobustKf => fine::Method::Kalman,
+            Self::Stf | Self::Robust => fine::Method::strong_tracking(),
         }
     }
 }

@@ -104,7 +104,7 @@ fn sample(row: &LogRow) -> Sample<f64> {
 pub fn replay(path: &Path, setup: &Setup, observer: &mut impl Observer) -> Result<Replay, ReplayError> {
     match setup.method {
         Method::Kf | Method::Stf => replay_with::<PAPER>(path, setup, observer),
-        Method::Robust => replay_with::<ROBUST>(path, setup, observer),
+        Method::Robust | Method::RobustKf => replay_with::<ROBUST>(path, setup, observer),
     }
 }
 

@@ -262,7 +262,7 @@ pub fn run<T: Real>(
 ) -> Result<RunResult, SimulationError> {
     match method {
         Method::Kf | Method::Stf => run_with::<T, PAPER>(scenario, seed, method, observer),
-        Method::Robust => run_with::<T, ROBUST>(scenario, seed, method, observer),
+        Method::Robust | Method::RobustKf => run_with::<T, ROBUST>(scenario, seed, method, observer),
     }
 }
 

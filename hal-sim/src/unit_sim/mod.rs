@@ -352,7 +352,7 @@ pub fn run(
 ) -> Result<UnitResult, UnitError> {
     match method {
         Method::Kf | Method::Stf => run_with::<PAPER>(scenario, seed, method, observer),
-        Method::Robust => run_with::<ROBUST>(scenario, seed, method, observer),
+        Method::Robust | Method::RobustKf => run_with::<ROBUST>(scenario, seed, method, observer),
     }
 }
 

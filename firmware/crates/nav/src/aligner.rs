@@ -39,10 +39,10 @@ use crate::{
 /// replayed: 34 kB in f32.
 pub const QUEUE: usize = 1200;
 
-/// Increments filtered from the queue in one step, and carried back in one step: about as much work. On a Cortex-M4F
-/// at 100 Hz it is 5 % of the processor, and a pass takes a second.
-const FORWARD: usize = 12;
-const BACK: usize = 64;
+/// Increments filtered from the queue, and carried back, for each second of samples: about as much work. A pass takes a
+/// second and a half, and 3 % of a Cortex-M4F.
+const FORWARD: f64 = 1000.0;
+const BACK: f64 = 3000.0;
 
 /// Most times that the fine filter goes over the queue.
 const MOST_PASSES: u8 = 6;
@@ -585,6 +585,11 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         else {
             return None;
         };
+        let share = |per_second: f64| {
+            // Not more than a whole number of increments can be: samples are a second long at most.
+            let share = (dt * T::lit(per_second)).to_f64() as usize;
+            share.max(1)
+        };
         let mut measured = false;
         let mut filtered = |increment: &Increment<T>| {
             if let Some(innovation) = filter.step(increment) {
@@ -594,7 +599,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         };
         match replay {
             Replay::Forward { pass, next } => {
-                let end = (*next + FORWARD).min(pass.length);
+                let end = (*next + share(FORWARD)).min(pass.length);
                 self.queue.iter().take(end).skip(*next).for_each(filtered);
                 *next = end;
                 if end == pass.length {
@@ -614,7 +619,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                 turn,
                 t,
             } => {
-                let end = (*next + BACK).min(pass.length);
+                let end = (*next + share(BACK)).min(pass.length);
                 for increment in self.queue.iter().take(end).skip(*next) {
                     let gyro_error = solution.corrections.gyro_error(increment.phi_s, increment.dt);
                     turn.turn_from(increment.phi_s - gyro_error);
@@ -637,10 +642,9 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                 let (level_var, four) = (trust.level_var(), T::lit(4.0));
                 let settled =
                     moved <= T::lit(limit) && level_var <= pass.level_var * four && pass.level_var <= level_var * four;
-                // Another pass there and back takes so many steps, each a sample long, and lets their increments in.
-                let steps = pass.length / FORWARD + pass.length / BACK + 4;
-                let room = T::lit((N - self.queue.len()) as f64) * self.config.decimate_to
-                    > T::lit(steps as f64) * dt.min(self.config.decimate_to);
+                // Another pass there and back lets these increments in, a fifth more for shares that were rounded off.
+                let taken = pass.length as f64 * (1.0 / FORWARD + 1.0 / BACK);
+                let room = T::lit((N - self.queue.len()) as f64) * self.config.decimate_to > T::lit(1.2 * taken);
                 if !settled && pass.number < MOST_PASSES && room {
                     let (start, number, length) = (back.normalized(), pass.number + 1, pass.length);
                     self.start_over(start, length, number, Some(trust))?;
@@ -653,7 +657,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                 *replay = Replay::Drain;
             }
             Replay::Drain | Replay::Live => {
-                for _ in 0..FORWARD {
+                for _ in 0..share(FORWARD) {
                     let Some(increment) = self.queue.pop_front() else { break };
                     filtered(&increment);
                 }
@@ -836,6 +840,7 @@ impl<const B: usize, const N: usize> Align for Aligner<f32, B, N> {
 impl Aligner {
     /// The unit's aligner, as one that is run. Not generic, and so compiled with this crate: an image that is built for
     /// size still has its mathematics built for speed.
+    #[inline(never)]
     pub fn as_align(&mut self) -> &mut dyn Align {
         self
     }
