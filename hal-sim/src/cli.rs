@@ -14,7 +14,7 @@ use hal_sim::bound::{self, Bound, BoundConfig};
 use hal_sim::bus::UartLine;
 use hal_sim::calibrate::{self, CalibrateError, Stand};
 use hal_sim::log::{LogRow, LogWarning, LogWriter};
-use hal_sim::monte_carlo::{self, Statistics};
+use hal_sim::monte_carlo::{self, MethodReport, READY_SD_DEG, Statistics};
 use hal_sim::observability::{self, Attitude, Axis, Segment};
 use hal_sim::replay::{self, Replay};
 use hal_sim::report;
@@ -599,9 +599,48 @@ fn monte_carlo_table(report: &monte_carlo::Report) -> String {
                 String::new()
             }
         );
+        text += &course_of(method);
     }
     // Each run has phases of its own.
     text + "rms/ideal: over the ideal filter's σ along the motion of the first run; n runs scatter it by 1/√(2n)\n"
+}
+
+/// Readiness, settling, and the errors of those that were refused as well.
+fn course_of(method: &MethodReport) -> String {
+    let mut text = String::new();
+    if let Some(all) = method.all.filter(|all| all.runs > method.aligned) {
+        text += &format!(
+            "    all {} with an estimate: heading rms {:.4}°\n",
+            all.runs, all.heading.rms_deg
+        );
+    }
+    if let Some(ready) = &method.readiness {
+        text += &format!(
+            "    known to {READY_SD_DEG}°: {} runs, after {:.0} s in the mean, {:.0} s at most; then beyond 3σ: {} runs at \
+             first, {} of {} s ({:.2} %)\n",
+            ready.runs,
+            ready.mean_s,
+            ready.last_s,
+            ready.false_at_first,
+            ready.false_seconds,
+            ready.seconds,
+            100.0 * ready.false_seconds as f64 / ready.seconds as f64
+        );
+    }
+    if let Some(settling) = &method.settling {
+        text += &format!(
+            "    within ±{:.2}° to the end: {} runs, from {:.0} s on in the mean, {:.0} s for 95 of 100",
+            settling.within_deg, settling.runs, settling.mean_s, settling.most_s
+        );
+        if settling.later_rms_deg > 0.0 {
+            text += &format!(
+                "; from 600 s on rms {:.3}°, worst {:.2}°",
+                settling.later_rms_deg, settling.later_worst_deg
+            );
+        }
+        text += "\n";
+    }
+    text
 }
 
 fn bound(args: &BoundArgs) -> Done {

@@ -1,5 +1,6 @@
 //! Many runs of one scenario: what the errors are, and whether the unit knows it.
 
+use frames::units::DEG;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -7,7 +8,7 @@ use crate::align::{Angles, Method};
 use crate::bound::{self, BoundConfig};
 use crate::scenario::Scenario;
 use crate::sensors::run_seed;
-use crate::simulate::{self, Fix, RunResult, SimulationError};
+use crate::simulate::{self, Fix, Moment, Observer, RunResult, SimulationError};
 
 /// Statistics of one angle over the runs.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -93,6 +94,104 @@ pub struct Report {
     pub by_method: Vec<MethodReport>,
 }
 
+/// 1σ of heading at which [`Readiness`] is declared, degrees.
+pub const READY_SD_DEG: f64 = 0.5;
+
+/// When a unit that is asked for [`READY_SD_DEG`] would call itself ready, and whether it may: looked at once a second.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Readiness {
+    /// Runs that came to it.
+    pub runs: usize,
+    /// When first, in the mean, s.
+    pub mean_s: f64,
+    /// When first, in the last of them, s.
+    pub last_s: f64,
+    /// Runs with a heading error beyond 3σ at that moment.
+    pub false_at_first: usize,
+    /// Seconds in which they were ready, all runs together.
+    pub seconds: usize,
+    /// Those of them with a heading error beyond 3σ.
+    pub false_seconds: usize,
+}
+
+/// How soon heading stays within what standards for gyrocompasses allow, ±1° sec L: from then on to the run's end.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Settling {
+    /// ±1° sec L, degrees.
+    pub within_deg: f64,
+    /// Runs that settle.
+    pub runs: usize,
+    /// When, in the mean, s.
+    pub mean_s: f64,
+    /// When, in 95 of 100 of them, s.
+    pub most_s: f64,
+    /// Largest heading error from ten minutes on, degrees; zero for shorter runs.
+    pub later_worst_deg: f64,
+    /// RMS of heading from ten minutes on, degrees.
+    pub later_rms_deg: f64,
+}
+
+/// What happened in one run, once a second.
+#[derive(Debug, Default)]
+struct Course(Vec<Moment>);
+
+impl Observer for Course {
+    fn moment(&mut self, moment: &Moment) {
+        self.0.push(*moment);
+    }
+}
+
+impl Readiness {
+    fn of(courses: &[&Course]) -> Option<Self> {
+        let ready = |m: &&Moment| m.state == "aligned" && m.reading.sd.heading_deg <= READY_SD_DEG;
+        let false_ready = |m: &&Moment| m.error.heading_deg.abs() > 3.0 * m.reading.sd.heading_deg;
+        let first: Vec<&Moment> = courses
+            .iter()
+            .filter_map(|course| course.0.iter().find(ready))
+            .collect();
+        let seconds = || courses.iter().flat_map(|course| course.0.iter().filter(ready));
+        (!first.is_empty()).then(|| Self {
+            runs: first.len(),
+            mean_s: first.iter().map(|m| m.t_s).sum::<f64>() / first.len() as f64,
+            last_s: first.iter().map(|m| m.t_s).fold(0.0, f64::max),
+            false_at_first: first.iter().copied().filter(false_ready).count(),
+            seconds: seconds().count(),
+            false_seconds: seconds().filter(false_ready).count(),
+        })
+    }
+}
+
+impl Settling {
+    fn of(courses: &[&Course], latitude_deg: f64) -> Option<Self> {
+        const LATER_S: f64 = 600.0;
+        let within_deg = 1.0 / (latitude_deg * DEG).cos();
+        let outside = |m: &Moment| m.error.heading_deg.abs() > within_deg;
+        let mut times: Vec<f64> = courses
+            .iter()
+            .filter_map(|course| match course.0.iter().rposition(outside) {
+                None => course.0.first(),
+                Some(last) => course.0.get(last + 1),
+            })
+            .map(|m| m.t_s)
+            .collect();
+        times.sort_by(f64::total_cmp);
+        let later: Vec<f64> = courses
+            .iter()
+            .flat_map(|course| course.0.iter().filter(|m| m.t_s >= LATER_S))
+            .map(|m| m.error.heading_deg)
+            .collect();
+        let most_s = *times.get((times.len() * 95).div_ceil(100).saturating_sub(1))?;
+        Some(Self {
+            within_deg,
+            runs: times.len(),
+            mean_s: times.iter().sum::<f64>() / times.len() as f64,
+            most_s,
+            later_worst_deg: later.iter().fold(0.0, |worst, e| worst.max(e.abs())),
+            later_rms_deg: (later.iter().map(|e| e * e).sum::<f64>() / later.len().max(1) as f64).sqrt(),
+        })
+    }
+}
+
 /// Results of one method.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MethodReport {
@@ -106,6 +205,12 @@ pub struct MethodReport {
     pub mean_time_to_aligned_s: Option<f64>,
     /// Errors at the end of those that ended aligned.
     pub fine: Option<Statistics>,
+    /// Errors at the end of all that had an estimate, refused by the unit or not.
+    pub all: Option<Statistics>,
+    /// When the unit would be ready at [`READY_SD_DEG`], if ever.
+    pub readiness: Option<Readiness>,
+    /// How soon heading settles, if it does.
+    pub settling: Option<Settling>,
     /// RMS of their heading errors over that of the ideal filter, [`Report::bound_deg`]; n runs scatter it by 1/√(2n).
     pub heading_rms_over_bound: Option<f64>,
     /// Their heading errors, degrees, in the order of the runs; for plots.
@@ -126,13 +231,17 @@ pub fn run(
     methods: &[Method],
     done: impl Fn() + Sync,
 ) -> Result<Report, SimulationError> {
-    let results: Vec<Vec<RunResult>> = (0..runs)
+    let results: Vec<Vec<(RunResult, Course)>> = (0..runs)
         .into_par_iter()
         .map(|k| {
             let results = methods
                 .iter()
-                .map(|method| simulate::run::<f32>(scenario, run_seed(seed, k), *method, &mut ()))
-                .collect::<Result<Vec<_>, _>>();
+                .map(|method| {
+                    let mut course = Course::default();
+                    let result = simulate::run::<f32>(scenario, run_seed(seed, k), *method, &mut course)?;
+                    Ok((result, course))
+                })
+                .collect::<Result<Vec<_>, SimulationError>>();
             done();
             results
         })
@@ -141,7 +250,14 @@ pub fn run(
     let bound = bound::run(scenario, run_seed(seed, 0), &BoundConfig::default())?;
     let bound_deg = bound.end.sd.heading_deg;
 
-    let of_method = |m: usize| results.iter().filter_map(move |run| run.get(m));
+    let of_method = |m: usize| {
+        results
+            .iter()
+            .filter_map(move |run| run.get(m))
+            .map(|(result, _)| result)
+    };
+    let courses_of =
+        |m: usize| -> Vec<&Course> { results.iter().filter_map(|run| run.get(m)).map(|(_, c)| c).collect() };
     let pair = |fix: &Fix| (fix.error, fix.sd);
     let coarse: Vec<_> = of_method(0).filter_map(|run| run.coarse.as_ref().map(pair)).collect();
     let by_method: Vec<MethodReport> = methods
@@ -155,12 +271,20 @@ pub fn run(
             let times: Vec<f64> = of_method(m).filter_map(|run| run.aligned_at_s).collect();
             let pairs: Vec<_> = aligned.iter().map(|moment| (moment.error, moment.reading.sd)).collect();
             let fine = Statistics::of(&pairs);
+            let all: Vec<_> = of_method(m)
+                .filter_map(|run| run.last)
+                .map(|moment| (moment.error, moment.reading.sd))
+                .collect();
+            let courses = courses_of(m);
             MethodReport {
                 method: *method,
                 aligned: aligned.len(),
                 inconsistent: of_method(m).filter(|run| run.state == "inconsistent").count(),
                 mean_time_to_aligned_s: (!times.is_empty()).then(|| times.iter().sum::<f64>() / times.len() as f64),
                 fine,
+                all: Statistics::of(&all),
+                readiness: Readiness::of(&courses),
+                settling: Settling::of(&courses, scenario.place.latitude_deg),
                 heading_rms_over_bound: fine
                     .filter(|_| bound_deg > 0.0)
                     .map(|fine| fine.heading.rms_deg / bound_deg),

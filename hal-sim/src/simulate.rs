@@ -198,6 +198,8 @@ pub struct Moment {
     pub rotor_deg: f64,
     /// Running mean of innovation²/variance per component: one where the model holds.
     pub innovation_ratio: f64,
+    /// `aligned`, or where the aligner stands.
+    pub state: &'static str,
 }
 
 /// An attitude, its σ and its error.
@@ -331,5 +333,6 @@ fn moment<T: Real, const B: usize>(aligner: &Aligner<T, B>, simulation: &Simulat
         true_accel_bias_ug: per_axis(simulation.imu().accel_bias_s(), MICRO_G),
         rotor_deg: simulation.truth().rotor_angle(t) / DEG,
         innovation_ratio: aligner.innovation().map_or(f64::NAN, |(_, ratio)| ratio.to_f64()),
+        state: align::state_name(aligner),
     })
 }
