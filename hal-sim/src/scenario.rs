@@ -337,7 +337,7 @@ impl Default for Scenario {
     }
 }
 
-const BUILTIN: [(&str, &str); 5] = [
+const BUILTIN: [(&str, &str); 7] = [
     ("static", include_str!("../scenarios/static.toml")),
     ("paper-sim", include_str!("../scenarios/paper-sim.toml")),
     ("paper-turntable", include_str!("../scenarios/paper-turntable.toml")),
@@ -346,6 +346,8 @@ const BUILTIN: [(&str, &str); 5] = [
         "gyrocompass-standard",
         include_str!("../scenarios/gyrocompass-standard.toml"),
     ),
+    ("bias-step", include_str!("../scenarios/bias-step.toml")),
+    ("lively-floor", include_str!("../scenarios/lively-floor.toml")),
 ];
 
 impl Scenario {
@@ -527,7 +529,7 @@ mod tests {
         assert_eq!(
             Scenario::builtin("paper-simm").unwrap_err().to_string(),
             "paper-simm: no built-in scenario of this name; there are static, paper-sim, paper-turntable, moored, \
-             gyrocompass-standard"
+             gyrocompass-standard, bias-step, lively-floor"
         );
     }
 

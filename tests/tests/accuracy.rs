@@ -69,15 +69,7 @@ fn moored_is_found_where_the_papers_filter_is_lost() {
 /// refused there, and costs the unit nothing.
 #[test]
 fn a_lively_floor_costs_nothing() {
-    let mut scenario = Scenario::builtin("paper-sim").unwrap();
-    for (axis, period_s) in [
-        (&mut scenario.sway.east, 1.7),
-        (&mut scenario.sway.north, 2.3),
-        (&mut scenario.sway.up, 1.3),
-    ] {
-        axis.amplitude_m = 0.0005;
-        axis.period_s = period_s;
-    }
+    let scenario = Scenario::builtin("lively-floor").unwrap();
     let report = monte_carlo::run(&scenario, 100, 5, &[Method::Robust, Method::Kf], || ()).unwrap();
     let fine = report.fine.unwrap();
     assert_eq!(fine.runs, 100);
@@ -101,10 +93,7 @@ fn gyrocompass_standard_settles_in_minutes() {
 /// strong-tracking one recovers.
 #[test]
 fn strong_tracking_recovers_from_a_bias_step() {
-    let mut scenario = Scenario::builtin("paper-sim").unwrap();
-    scenario.run.duration_s = 210.0;
-    scenario.errors.gyro_step_deg_h = [5.0; 3];
-    scenario.errors.gyro_step_at_s = 150.0;
+    let scenario = Scenario::builtin("bias-step").unwrap();
     let methods = [Method::Kf, Method::Stf, Method::Robust];
     let report = monte_carlo::run(&scenario, 60, 3, &methods, || ()).unwrap();
     let [kalman, strong, robust] = &report.by_method[..] else {
