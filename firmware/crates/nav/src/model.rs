@@ -259,3 +259,51 @@ impl<T: Real, const B: usize> Interval<T, B> {
         Matrix3::identity() * (noise.angle_random_walk * noise.angle_random_walk * self.dt + self.phi_var)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use frames::units::{DEG, DEG_PER_HOUR};
+    use nalgebra::Vector3;
+
+    fn predicted(intervals: u32, seconds: f64) -> Covariance<f64, ROBUST> {
+        let earth = Earth::new(40.0 * DEG, 0.0).unwrap();
+        let noise = ImuNoise {
+            gyro_instability_sd: 3.0 * DEG_PER_HOUR,
+            gyro_instability_tau: 100.0,
+            ..ImuNoise::default()
+        };
+        let mut prior = [Vector3::repeat(1e-20); ROBUST];
+        prior[GM] = Vector3::repeat(noise.gyro_instability_sd * noise.gyro_instability_sd);
+        let mut p = Covariance::diagonal(prior);
+        for _ in 0..intervals {
+            let mut interval = Interval::<f64, ROBUST>::new();
+            for _ in 0..100 {
+                interval.push(seconds / 100.0, Vec3::zero(), &Matrix3::identity(), &earth);
+            }
+            p.propagate(&interval.couplings(&noise, &earth));
+            interval.add_noise(&mut p, &noise, &earth);
+        }
+        p
+    }
+
+    /// One second at once, or in tenths: the chain of integrals of the white noises is the same.
+    #[test]
+    fn noise_over_an_interval_is_that_of_its_parts() {
+        let (once, parts) = (predicted(1, 1.0), predicted(10, 0.1));
+        for (i, j) in [(PHI, PHI), (PHI, DV), (PHI, DP), (DV, DV), (DV, DP), (DP, DP), (GM, GM)] {
+            let (a, b) = (once.block(i, j), parts.block(i, j));
+            assert!((a - b).amax() < 0.01 * b.amax(), "({i}, {j}): {a} {b}");
+            assert!(b.amax() > 0.0);
+        }
+    }
+
+    /// The wandering part of the biases neither dies out nor grows.
+    #[test]
+    fn instability_is_stationary() {
+        let sd = 3.0 * DEG_PER_HOUR;
+        for var in predicted(1000, 1.0).variances(GM).iter() {
+            assert!((var / (sd * sd) - 1.0).abs() < 1e-9, "{var:e}");
+        }
+    }
+}
