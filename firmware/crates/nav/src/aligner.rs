@@ -287,9 +287,12 @@ impl<T: Real> Consistency<T> {
     }
 
     fn push(&mut self, innovation: Innovation<T>) {
-        let ratio = innovation.normalised_squared * T::lit(1.0 / 3.0);
-        self.ratio += (ratio - self.ratio) * T::lit(1.0 / Self::MEMORY);
         self.last = Some(innovation);
+        // What was not taken says nothing of how well the rest fits.
+        if !innovation.refused {
+            let ratio = innovation.normalised_squared * T::lit(1.0 / 3.0);
+            self.ratio += (ratio - self.ratio) * T::lit(1.0 / Self::MEMORY);
+        }
     }
 
     fn holds(&self) -> bool {
@@ -849,6 +852,22 @@ impl Aligner {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_refused_measurement_does_not_look_like_a_good_one() {
+        let innovation = |normalised_squared, refused| Innovation {
+            excess: Vec3::zero(),
+            normalised_squared,
+            fading: 1.0,
+            refused,
+        };
+        let mut consistency = Consistency::<f64>::new();
+        consistency.push(innovation(30.0, false));
+        let ratio = consistency.ratio;
+        consistency.push(innovation(0.0, true));
+        assert_eq!(consistency.ratio, ratio);
+        assert!(consistency.last.is_some_and(|last| last.refused));
+    }
 
     fn rate(x: f64) -> Vec3<Sensor, f64> {
         Vec3::new(x, 0.0, 0.0)

@@ -17,8 +17,8 @@
 //! itself from its start, and stays out of it. A first estimate of heading may be off by tens of degrees
 //! for seconds, and to feed it back would linearise all that follows about it (heading RMS 1.4° where
 //! 0.45° is possible, in `paper-turntable`). Once the loop is closed, each estimated error is taken out of the
-//! strapdown at once, the state returns to zero, and only P lives on. A filter with δω may stay open for minutes: its
-//! model is linear in all that is large.
+//! strapdown at once, the state returns to zero, and only P lives on. A filter with δω feeds back all but heading from
+//! the start: its model is linear in all that is large, and heading alone may stay open for minutes.
 //!
 //! The *measurement* is one per second and not one per sample by choice: a strong-tracking filter
 //! that measures at 20 Hz never sees a bias step in one innovation, and the cost falls by twenty.
@@ -227,7 +227,7 @@ pub struct FineFilter<T: Real = f32, const B: usize = ROBUST> {
     earth: Earth<T>,
     strapdown: Strapdown<T>,
     covariance: Covariance<T, B>,
-    /// Estimated error of the strapdown; zero at all times once the loop is closed.
+    /// Estimated error of the strapdown. Once the loop is closed, and in a filter with δω always, zero but for δω.
     error: [Vector3<T>; B],
     closed: bool,
     /// The loop closes as soon as heading is known well enough.

@@ -192,7 +192,7 @@ impl<T: Real> Trust<T> {
         density.mean() * self.config.correlation
     }
 
-    /// 1σ of the level displacement of the base as estimated, m².
+    /// Variance of the level displacement of the base as estimated, m².
     pub fn level_var(&self) -> T {
         self.level.mean()
     }
