@@ -18,6 +18,7 @@
 //! | [`log`] | typed events |
 //! | [`nmea`] | sentences of NMEA 0183, pure |
 //! | [`output`] | estimates and status → sentences on a serial line |
+//! | [`settings`] | the unit's settings, and their store in flash |
 //! | [`console`] | commands on a serial line, the parser, pure |
 //! | [`rotor`] | the motor's control, pure |
 //!
@@ -47,5 +48,6 @@ pub mod output;
 pub mod rotor;
 pub mod sampling;
 pub mod selftest;
+pub mod settings;
 pub mod shared;
 pub mod supervisor;

@@ -1,0 +1,317 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::rotor;
+
+/// Longest body without its version.
+const FIELDS: usize = log::BUFFER - log::HEADER - 1;
+
+/// Every group, with nothing at its default.
+fn unusual() -> Settings {
+    let mut settings = Settings {
+        identity: Identity {
+            serial: 4711,
+            name: *b"North 7\0\0\0\0\0\0\0\0\0",
+        },
+        installation: Installation {
+            position: Position {
+                latitude: -0.6,
+                height: 812.0,
+                source: Source::Operator,
+            },
+            mounting: Mounting {
+                heading: 1.5,
+                pitch: -0.1,
+                roll: 0.2,
+            },
+        },
+        last_position: Position {
+            latitude: 0.9,
+            height: -3.0,
+            source: Source::Gnss,
+        },
+        motion: RotorConfig {
+            rate: deg(15.0),
+            travel: deg(400.0),
+            acceleration: deg(100.0),
+        },
+        output: OutputConfig {
+            period_ms: 200,
+            status_every: 5,
+            fresh_ms: 300,
+            write_ms: 100,
+            estimated_sd: 0.1,
+            rate_tau: 1.0,
+        },
+        imu: Imu {
+            calibration: Some(Calibration {
+                bias_s: Vec3::new(1e-3, -2e-3, 3e-4),
+                k_xz: 1e-4,
+                k_yz: -2e-4,
+                s_z: 3e-4,
+                bias_sd: 1e-6,
+                column_sd: 2e-6,
+                scatter: 1.1,
+                rest: 60.0,
+                turn: 61.0,
+                turned: 21.0,
+            }),
+            temperature_c: 31.5,
+        },
+        thermal: Thermal::default(),
+        encoder: Encoder {
+            zero: 1.25,
+            electrical_offset: Some(-0.5),
+            correction: Harmonics::new(core::array::from_fn(|i| Harmonic {
+                order: i as u16,
+                amplitude: 1e-4,
+                phase: 0.1,
+            }))
+            .unwrap(),
+        },
+    };
+    settings.thermal.used = 3;
+    for (i, row) in settings.thermal.rows.iter_mut().take(3).enumerate() {
+        *row = ThermalRow {
+            temperature_c: 20.0 * i as f32,
+            bias_s: [1e-4 * i as f32, -1e-4, 0.0],
+        };
+    }
+    settings
+}
+
+#[test]
+fn all_fields_come_back() {
+    let (from, mut to) = (unusual(), Settings::default());
+    for group in Group::ALL {
+        let mut bytes = [0; FIELDS];
+        let length = from.encode(group, &mut bytes).unwrap();
+        // With the version in front, and something in hand.
+        assert!(length < 128, "{group} {length}");
+        to.decode(group, group.version(), &mut bytes[..length]).unwrap();
+        // Nothing is taken of a record of another length.
+        let whole = to;
+        for wrong in [0, 1, length - 1, length + 1] {
+            assert!(
+                to.decode(group, group.version(), &mut bytes[..wrong]).is_err(),
+                "{group} {wrong}"
+            );
+        }
+        assert_eq!(to, whole);
+        assert_eq!(from.encode(group, &mut bytes[..length - 1]), Err(Invalid::Length));
+    }
+    assert_eq!(to, from);
+}
+
+#[test]
+fn keys_are_for_ever() {
+    let keys = Group::ALL.map(|group| (group.as_str(), group.key()));
+    assert_eq!(
+        keys,
+        [
+            ("identity", 0),
+            ("installation", 1),
+            ("last-position", 2),
+            ("motion", 3),
+            ("output", 4),
+            ("imu", 5),
+            ("thermal", 6),
+            ("encoder", 7)
+        ]
+    );
+    assert!(usize::from(Group::Encoder.key()) < log::KEYS);
+}
+
+#[test]
+fn the_defaults_are_good_and_those_of_the_parts() {
+    let settings = Settings::default();
+    for group in Group::ALL {
+        assert_eq!(settings.validate(group), Ok(()));
+    }
+    assert_eq!(settings.motion, rotor::Config::default().schedule);
+    assert_eq!(settings.output, OutputConfig::default());
+    assert_eq!(settings.encoder.zero, rotor::Config::default().encoder_zero);
+}
+
+/// What the settings take, the rotor takes.
+#[test]
+fn every_corner_of_the_motion_has_room() {
+    for rate in [5.0, 45.0] {
+        for travel in [270.0, 520.0] {
+            for acceleration in [50.0, 1000.0] {
+                let settings = Settings {
+                    motion: RotorConfig {
+                        rate: deg(rate),
+                        travel: deg(travel),
+                        acceleration: deg(acceleration),
+                    },
+                    ..Settings::default()
+                };
+                assert_eq!(settings.validate(Group::Motion), Ok(()));
+                let config = rotor::Config {
+                    schedule: settings.motion,
+                    ..rotor::Config::default()
+                };
+                assert!(config.validate().is_ok(), "{rate} {travel} {acceleration}");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_is_refused_with_its_range() {
+    type Change = fn(&mut Settings);
+    let cases: [(Group, Change, &str); 15] = [
+        (
+            Group::Identity,
+            |s| s.identity.serial = 1 << 24,
+            "serial number must be between 0 and 16777215",
+        ),
+        (
+            Group::Identity,
+            |s| s.identity.name = *b"North*7\0\0\0\0\0\0\0\0\0",
+            "name must be printable ASCII without $ * , ! and \\",
+        ),
+        (
+            Group::Identity,
+            |s| s.identity.name[15] = b'x',
+            "name must be printable ASCII without $ * , ! and \\",
+        ),
+        (
+            Group::Installation,
+            |s| s.installation.position.latitude = 1.5,
+            "latitude must be between -1.4835298 and 1.4835298",
+        ),
+        (
+            Group::Installation,
+            |s| s.installation.mounting.pitch = 2.0,
+            "mounting pitch must be between -1.5707964 and 1.5707964",
+        ),
+        (
+            Group::LastPosition,
+            |s| s.last_position.height = f32::NAN,
+            "height must be between -12000 and 30000",
+        ),
+        (
+            Group::Motion,
+            |s| s.motion.rate = 0.0,
+            "rotor rate must be between 0.08726646 and 0.7853982",
+        ),
+        (
+            Group::Output,
+            |s| s.output.period_ms = 0,
+            "output period_ms must be between 50 and 10000",
+        ),
+        (
+            Group::Imu,
+            |s| s.imu.calibration.as_mut().unwrap().bias_s = Vec3::new(0.0, 0.0, 0.2),
+            "gyro bias must be between -0.1 and 0.1",
+        ),
+        (
+            Group::Imu,
+            |s| s.imu.calibration.as_mut().unwrap().k_yz = f32::INFINITY,
+            "gyro column must be between -0.05 and 0.05",
+        ),
+        (
+            Group::Thermal,
+            |s| s.thermal.rows[2].temperature_c = 20.5,
+            "thermal temperature must be between 21 and 125",
+        ),
+        (
+            Group::Thermal,
+            |s| s.thermal.used = 7,
+            "thermal rows must be between 0 and 6",
+        ),
+        (
+            Group::Encoder,
+            |s| s.encoder.zero = -0.1,
+            "encoder zero must be between 0 and 6.2831855",
+        ),
+        (
+            Group::Encoder,
+            |s| s.encoder.electrical_offset = Some(f32::NAN),
+            "electrical offset must be between -6.2831855 and 6.2831855",
+        ),
+        (
+            Group::Encoder,
+            |s| {
+                let rows = [Harmonic {
+                    order: 1,
+                    amplitude: 0.11,
+                    phase: 0.0,
+                }; HARMONICS];
+                s.encoder.correction = Harmonics::new(rows).unwrap();
+            },
+            "harmonic amplitude must be between -0.1 and 0.1",
+        ),
+    ];
+    for (group, change, text) in cases {
+        let mut settings = unusual();
+        change(&mut settings);
+        let error = settings.validate(group).unwrap_err();
+        assert_eq!(settings.encode(group, &mut [0; FIELDS]), Err(error));
+        assert_eq!(std::format!("{error}"), text);
+    }
+}
+
+#[test]
+fn bias_over_temperature() {
+    let near = |thermal: &Thermal, t: f32, x: f32| (thermal.bias_s(t).x() - x).abs() < 1e-9;
+    let none = Thermal::default();
+    assert!(near(&none, 20.0, 0.0));
+    let some = unusual().thermal;
+    for (t, x) in [
+        (-40.0, 0.0),
+        (0.0, 0.0),
+        (5.0, 2.5e-5),
+        (20.0, 1e-4),
+        (39.0, 1.95e-4),
+        (90.0, 2e-4),
+    ] {
+        assert!(near(&some, t, x), "{t}");
+    }
+    assert_eq!(some.bias_s(f32::NAN).y(), -1e-4);
+}
+
+#[test]
+fn the_position_used() {
+    let mut settings = unusual();
+    assert_eq!(settings.position(), settings.installation.position);
+    settings.installation.position.source = Source::Default;
+    assert_eq!(settings.position(), settings.last_position);
+    assert_eq!(Settings::default().position(), Position::default());
+}
+
+proptest! {
+    /// Whatever a record holds: no panic, and only values that pass.
+    #[test]
+    fn any_bytes_are_refused_or_good(
+        group in 0..GROUPS,
+        version in 0_u8..4,
+        mut bytes in proptest::collection::vec(any::<u8>(), 0..130),
+    ) {
+        let group = Group::ALL[group];
+        let mut settings = unusual();
+        match settings.decode(group, version, &mut bytes) {
+            Ok(()) => prop_assert_eq!(settings.validate(group), Ok(())),
+            Err(_) => prop_assert_eq!(settings, unusual()),
+        }
+    }
+
+    /// The same of records that are nearly right: of random bytes alone hardly any has the right length.
+    #[test]
+    fn any_change_is_refused_or_good(group in 0..GROUPS, at in 0..128_usize, to in any::<[u8; 4]>()) {
+        let group = Group::ALL[group];
+        let mut bytes = [0; FIELDS];
+        let length = unusual().encode(group, &mut bytes).unwrap();
+        let at = at % length;
+        for (old, new) in bytes[at..length].iter_mut().zip(to) {
+            *old = new;
+        }
+        let mut settings = unusual();
+        match settings.decode(group, group.version(), &mut bytes[..length]) {
+            Ok(()) => prop_assert_eq!(settings.validate(group), Ok(())),
+            Err(_) => prop_assert_eq!(settings, unusual()),
+        }
+    }
+}
