@@ -464,14 +464,15 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             return event;
         }
         let increment = self.compensator.increment(sample);
-        if let Some(joined) = self.decimator.push(&increment) {
+        let joined = self.decimator.push(&increment);
+        if let Some(joined) = joined {
             if let Err(reason) = self.take(joined) {
                 return Some(self.restart(reason));
             }
             let told = self.collect();
             event = told.or(event);
         }
-        self.work_off(sample.dt).or(event)
+        self.work_off(sample.dt, joined.map(|_| alpha)).or(event)
     }
 
     /// Bridges the gap before `sample` while the fine filter runs.
@@ -577,8 +578,9 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         Some(())
     }
 
-    /// Lets the fine filter have its share of the queue, after a sample of `dt` seconds.
-    fn work_off(&mut self, dt: T) -> Option<Event<T>> {
+    /// Lets the fine filter have its share of the queue, after a sample of `dt` seconds. `alpha` is the rotor's angle now,
+    /// where the last increment in the queue ends now.
+    fn work_off(&mut self, dt: T, alpha: Option<T>) -> Option<Event<T>> {
         let Stage::Fine {
             filter,
             consistency,
@@ -593,6 +595,10 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             let share = (dt * T::lit(per_second)).to_f64() as usize;
             share.max(1)
         };
+        // Angles are not queued: what the encoder says of the z gyro in its first seconds live, the covariance carries
+        // back to all that was filtered before.
+        let is_next = self.queue.len() == 1 && matches!(replay, Replay::Live);
+        filter.rotor_at(alpha.filter(|_| is_next));
         let mut measured = false;
         let mut filtered = |increment: &Increment<T>| {
             if let Some(innovation) = filter.step(increment) {

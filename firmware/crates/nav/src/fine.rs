@@ -29,11 +29,12 @@ use frames::{Nav, Real, Rot, Sensor, Vec3, VecSum, math, units};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::{
+    constraint::{self, ConstraintConfig, EncoderConstraint, Excess, Row, Watch},
     covariance::{Coupling, Covariance},
     earth::Earth,
     fading::{Fading, StrongTracking},
     increment::Increment,
-    model::{BA, BG, COLUMNS, DP, DV, GM, Interval, PHI, ROBUST, WE},
+    model::{BA, BG, COLUMNS, DP, DV, GM, Interval, MZ, PHI, ROBUST, WE},
     noise::ImuNoise,
     north::North,
     strapdown::Strapdown,
@@ -75,6 +76,7 @@ impl<T: Real, const B: usize> Method<T, B> {
 /// | `heading_sd` | rad | refused | 90° |
 /// | `latitude_sd` | rad | latitude known | 0 |
 /// | `method` | – | – | [`Method::Kalman`] |
+/// | `encoder_constraint` | – | `None`: the base may yaw | `None` but for a base fixed to Earth |
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FilterConfig<T: Real = f32, const B: usize = ROBUST> {
     /// What the IMU does to the signal.
@@ -95,6 +97,9 @@ pub struct FilterConfig<T: Real = f32, const B: usize = ROBUST> {
     pub latitude_sd: T,
     /// Kalman or strong tracking.
     pub method: Method<T, B>,
+    /// That the base is fixed to Earth, so that the rotor's encoder measures the z gyro: see
+    /// [`constraint`].
+    pub encoder_constraint: Option<EncoderConstraint<T, B>>,
 }
 
 impl<T: Real, const B: usize> Default for FilterConfig<T, B> {
@@ -109,6 +114,7 @@ impl<T: Real, const B: usize> Default for FilterConfig<T, B> {
             heading_sd: T::lit(90.0 * DEG),
             latitude_sd: T::zero(),
             method: Method::Kalman,
+            encoder_constraint: None,
         }
     }
 }
@@ -241,6 +247,8 @@ pub struct FineFilter<T: Real = f32, const B: usize = ROBUST> {
     trust: Trust<T>,
     /// Measurements refused since the start.
     refused: u32,
+    /// Whether the base is one to be measured by, where it was said to be.
+    watch: Watch<T>,
     /// ∫ of the rotor's axis in n, s, and its time, s.
     axis_n: VecSum<Nav, T>,
     elapsed: T,
@@ -319,6 +327,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             fading: Fading::new(),
             trust: trust.unwrap_or(Trust::new(config.trust)),
             refused: 0,
+            watch: Watch::new(),
             axis_n: VecSum::new(Vec3::zero()),
             elapsed: T::zero(),
         })
@@ -333,6 +342,14 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         // Within half an increment of its time.
         let due = self.interval.dt() + increment.dt * T::lit(0.5) >= self.config.measure_every;
         due.then(|| self.measure())
+    }
+
+    /// Says at which angle the rotor is at the end of the next increment, rad; `None` where that is not known. It holds
+    /// until it is said again.
+    ///
+    /// The [encoder constraint](constraint) needs it at each measurement, and nothing else does.
+    pub fn rotor_at(&mut self, alpha: Option<T>) {
+        self.watch.alpha = alpha;
     }
 
     /// Says that the next increment does not tell all: 1σ of the turn (rad) and of the velocity (m/s)
@@ -388,9 +405,8 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         }
         self.covariance.propagate(&couplings);
         self.interval.add_noise(&mut self.covariance, &noise, &self.earth);
-        let passed = core::mem::replace(&mut self.interval, Interval::new()).dt();
         if B > GM {
-            let decay = noise.gyro_instability_decay(passed);
+            let decay = noise.gyro_instability_decay(self.interval.dt());
             let instability = &mut self.strapdown.corrections.gyro_instability_s;
             *instability = *instability * decay;
         }
@@ -419,13 +435,58 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             }
         }
         self.error = error;
-        self.feed_back();
+        match self.config.encoder_constraint {
+            Some(constraint) => (constraint.measure_and_feed_back)(self, constraint.config()),
+            None => self.feed_back(),
+        }
+        self.interval = Interval::new();
         Innovation {
             excess: Vec3::from_vector(excess),
             normalised_squared,
             fading,
             refused,
         }
+    }
+
+    /// Measures that the base has not turned about the vertical (see [`constraint`]), between what is
+    /// measured otherwise and feedback.
+    pub(crate) fn measure_turn_and_feed_back(&mut self, config: &ConstraintConfig<T>) {
+        self.measure_turn(config);
+        self.feed_back();
+        // What the strapdown is from here on is what the next turn is measured from.
+        self.watch.mark(self.strapdown.c_ns.get());
+    }
+
+    fn measure_turn(&mut self, config: &ConstraintConfig<T>) {
+        let Some(turn) = self.watch.turn(self.strapdown.c_ns.get()) else {
+            return;
+        };
+        let noise = &self.config.noise;
+        let mut walk_var = self.interval.phi_noise(noise)[(2, 2)];
+        if B <= MZ {
+            // A scale factor that is no state.
+            let by_scale = noise.gyro_scale_factor_sd * turn.rotor;
+            walk_var += by_scale * by_scale;
+        }
+        let h = self.interval.turn_row(&self.earth);
+        let row = Row::new(&self.covariance, &h);
+        let z = Excess {
+            excess: turn.base.z() - constraint::product(&h, &self.error),
+            predicted_var: row.predicted_var,
+            walk_var,
+        };
+        if let Some(r) = self.watch.judge(config, &turn, &z, self.interval.dt()) {
+            let gain = row.update(&mut self.covariance, r);
+            for (part, column) in self.error.iter_mut().zip(&gain.column) {
+                *part += column * z.excess;
+            }
+            self.watch.took(z.excess * z.predicted_var / gain.innovation_var);
+        }
+    }
+
+    /// Whether the encoder constraint is in force: the base has been seen to rest.
+    pub fn is_constrained(&self) -> bool {
+        self.watch.holds()
     }
 
     /// From now on takes each estimated error out of the strapdown at once, or as soon as the model allows.
@@ -440,10 +501,13 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             self.error = propagated(&self.error, &couplings);
             self.closed = true;
             self.take_out();
+            self.watch.forget();
         }
     }
 
     /// Follows a measurement: an estimate leaves the strapdown where the loop is closed, and closes it where it may.
+    // Once in an image, though there are two to call it.
+    #[inline(never)]
     fn feed_back(&mut self) {
         if B > WE && !self.closed {
             self.find_north();
@@ -824,6 +888,69 @@ mod tests {
         // The part that tells north is small: check it against its own size.
         let expected = -earth.w_north();
         assert!((phi[PHI][PHI][(0, 2)] - expected).abs() < 1e-9, "φ̇_E = −ω_ie cos L φ_U");
+    }
+
+    /// Row h of the encoder constraint against central differences of the mechanization on a base fixed to Earth, tilted,
+    /// over one second in which the rotor reverses.
+    #[test]
+    fn turn_row_is_the_derivative_of_the_mechanization() {
+        let earth = Earth::<f64>::new(40.0 * DEG, 0.0).unwrap();
+        let c_nb = Rot::<Nav, frames::Body, f64>::from_yaw_pitch_roll(0.7, 0.2, -0.15);
+        // Two thirds of a second one way, one third back.
+        let alpha = |k: u32| 0.35 * 0.05 * (13.0 - (13.0 - f64::from(k)).abs());
+        let c_ns = |k: u32| c_nb * Rot::about_z(alpha(k));
+        let start = Strapdown::new(c_ns(0));
+        let run = |mut s: Strapdown<f64>, slow: Vector3<f64>| {
+            let mut interval = Interval::<f64, ROBUST>::new();
+            let mut watch = Watch::new();
+            watch.alpha = Some(alpha(0));
+            watch.mark(s.c_ns.get());
+            for k in 0..20 {
+                let phi_s = (c_ns(k).inverse() * Rot::exp(earth.w_ie_n() * 0.05) * c_ns(k + 1)).log();
+                let dv_s = c_ns(k).inverse() * earth.g_n() * -0.05;
+                let half = V::from_vector(slow * 0.025);
+                s.c_ns.turn_to(half);
+                let middle = s.advance(&Increment { phi_s, dv_s, dt: 0.05 }, &earth);
+                s.c_ns.turn_to(half);
+                interval.push(0.05, phi_s, &middle, &earth);
+            }
+            watch.alpha = Some(alpha(20));
+            (watch.turn(s.c_ns.get()).unwrap().base.vector(), interval)
+        };
+        let none = Vector3::zeros();
+        let (at_rest, interval) = run(start, none);
+        assert!(at_rest.amax() < 1e-12, "{at_rest}");
+        let row = interval.turn_row(&earth);
+        let sizes = [1e-3, 1e-3, 1e-6, 1e-4, 1e-3, 1e-6, 1e-5, 1e-5, 1e-5, 1e-6];
+        for (block, h) in sizes.into_iter().enumerate() {
+            for axis in 0..3 {
+                let mut one = none;
+                one[axis] = h;
+                let (plus, minus) = if block == WE {
+                    (run(start, one).0, run(start, -one).0)
+                } else {
+                    let mut error = [none; ROBUST];
+                    error[block] = -one;
+                    let (mut plus, mut minus) = (start, start);
+                    plus.correct(&error);
+                    error[block] = one;
+                    minus.correct(&error);
+                    (run(plus, none).0, run(minus, none).0)
+                };
+                let numeric = (plus.z - minus.z) / (2.0 * h);
+                let analytic = row[block][axis];
+                // What acts within an increment is taken at its middle; what tells heading is small, and must be right
+                // by its own size.
+                let scale = row[block].amax().max(1e-6);
+                assert!(
+                    (numeric - analytic).abs() < 3e-3 * scale,
+                    "block {block} axis {axis}: {numeric:e} {analytic:e}"
+                );
+            }
+        }
+        // \[Yu15\] (16): ω_N φ_E + ε_z, of a rotor that is upright.
+        assert!((row[PHI].x + earth.w_north()).abs() < 1e-15);
+        assert!((row[BG].z - c_nb.matrix()[(2, 2)]).abs() < 1e-6);
     }
 
     fn filter<const B: usize>(method: Method<f32, B>) -> FineFilter<f32, B> {

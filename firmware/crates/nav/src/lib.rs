@@ -30,6 +30,8 @@
 //!
 //! * \[Xing18\] Xing et al., *Self-Alignment MEMS IMU Method Based on the Rotation Modulation Technique
 //!   on a Swing Base*, Sensors 2018, 18, 1178: the method.
+//! * \[Yu15\] *A Stationary North-Finding Scheme for an Azimuth Rotational IMU Utilizing a Linear State Equality
+//!   Constraint*, Sensors 2015, 15(2), 4368: the [encoder constraint](constraint).
 //! * \[Du16\] Du, Sun, Gao, *MEMS IMU Error Mitigation Using Rotation Modulation Technique*, Sensors
 //!   2016, 16, 2017.
 //!
@@ -39,6 +41,7 @@
 pub mod aligner;
 pub mod calibration;
 pub mod coarse;
+pub mod constraint;
 pub mod covariance;
 pub mod earth;
 pub mod fading;

@@ -35,7 +35,7 @@
 
 use frames::{Real, Sensor, Vec3};
 use heapless::Vec;
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector3};
 
 use crate::{
     covariance::{Coupling, Covariance},
@@ -207,6 +207,17 @@ impl<T: Real, const B: usize> Interval<T, B> {
         all
     }
 
+    /// Row h of the turn about the vertical that an error is taken for: z = h x = −(φ_U at the end − φ_U at the start).
+    ///
+    /// \[Yu15\] (16), over the interval: −up (Φ − I)_φ, with up (ω_ie^n × φ) T = T (up × ω_ie^n) φ of attitude itself.
+    pub(crate) fn turn_row(&self, earth: &Earth<T>) -> [Vector3<T>; B] {
+        let up = Vector3::z();
+        let mut row = [Vector3::zeros(); B];
+        row[PHI] = up.cross(&earth.w_ie_n().vector()) * self.dt;
+        self.gyro_errors(|col, response| row[col] = response.first.tr_mul(&up));
+        row
+    }
+
     /// Every block that drives attitude as a gyro error does, and how.
     fn gyro_errors(&self, mut each: impl FnMut(usize, Response<T>)) {
         each(BG, self.bias);
@@ -264,7 +275,6 @@ impl<T: Real, const B: usize> Interval<T, B> {
 mod tests {
     use super::*;
     use frames::units::{DEG, DEG_PER_HOUR};
-    use nalgebra::Vector3;
 
     fn predicted(intervals: u32, seconds: f64) -> Covariance<f64, ROBUST> {
         let earth = Earth::new(40.0 * DEG, 0.0).unwrap();
