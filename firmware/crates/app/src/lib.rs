@@ -18,6 +18,7 @@
 //! | [`log`] | typed events |
 //! | [`nmea`] | sentences of NMEA 0183, pure |
 //! | [`output`] | estimates and status → sentences on a serial line |
+//! | [`record`] | samples and status → frames of a binary log, pure |
 //! | [`settings`] | the unit's settings, and their store in flash |
 //! | [`console`] | commands on a serial line, the parser, pure |
 //! | [`rotor`] | the motor's control, pure |
@@ -45,6 +46,7 @@ pub mod mode;
 pub mod motor;
 pub mod nmea;
 pub mod output;
+pub mod record;
 pub mod rotor;
 pub mod sampling;
 pub mod selftest;
