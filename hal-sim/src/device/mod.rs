@@ -20,6 +20,7 @@
 
 mod adis16495;
 mod bench;
+pub mod flash;
 mod icm42688;
 mod mt6835;
 

@@ -11,10 +11,10 @@
 //!
 //! # The one rule
 //!
-//! A sector is erased only while nothing live is in it, and always before it is used. For one such sector to be there
-//! when it is needed, whenever there is none but the active one, what is live in the next sector is written anew into
-//! the active one; a cut in there leaves it to the next save, which begins with it. It takes 16 sectors of nothing but
-//! halves of records to run out of room.
+//! A sector is erased only while nothing live is in it, and always before it is used. So that the next one can be, what
+//! is live in it is written anew into the active one as soon as that is begun; a cut in there leaves it to the next save,
+//! which begins with it. With a sector of 128 records and at most 16 to move, a hundred cuts in a row would have to hit
+//! the few milliseconds of that before there was no room.
 //!
 //! # Why not `sequential-storage`
 //!
@@ -153,10 +153,13 @@ impl<F: NorFlash> Log<F> {
         self.live.get(usize::from(key)).copied().unwrap_or_default()
     }
 
-    /// Whether there is a damaged record of this key that looks newer than the live one.
+    /// Whether there is a damaged record of this key, and no live one, or one that is older. A number that cannot be does
+    /// not count as newer: half an erase leaves any.
     pub(super) fn doubted(&self, key: u8) -> bool {
         let doubt = self.doubt.get(usize::from(key)).copied().unwrap_or_default();
-        doubt > self.live(key).sequence
+        let last = self.sequence.saturating_add(u32::from(TRIES));
+        let live = self.live(key).sequence;
+        doubt > live && (live == 0 || doubt <= last)
     }
 
     pub(super) fn damaged(&self) -> u16 {
@@ -304,17 +307,16 @@ impl<F: NorFlash> Log<F> {
         Ok(true)
     }
 
-    /// The next sector that may be erased.
-    fn free(&self) -> Option<u32> {
-        let sectors = self.sectors().max(1);
-        let lives = |sector: u32| {
-            self.live
-                .iter()
-                .any(|live| live.is_some() && live.address / Self::SECTOR == sector)
-        };
-        (1..sectors)
-            .map(|step| (self.active + step) % sectors)
-            .find(|sector| !lives(*sector))
+    /// Whether something live is in a sector.
+    fn lives(&self, sector: u32) -> bool {
+        let mut live = self.live.iter();
+        live.any(|live| live.is_some() && live.address / Self::SECTOR == sector)
+    }
+
+    /// The sectors after the active one, in their order.
+    fn others(&self) -> impl Iterator<Item = u32> {
+        let (active, sectors) = (self.active, self.sectors());
+        (1..sectors).map(move |step| (active + step) % sectors)
     }
 
     fn room(&self, length: u8) -> bool {
@@ -329,7 +331,11 @@ impl<F: NorFlash> Log<F> {
         self.scanned = false;
         self.tidy().await?;
         if !self.room(length) {
-            let sector = self.free().ok_or(LogError::Full)?;
+            // The next one, but for flash that was damaged.
+            let sector = self
+                .others()
+                .find(|sector| !self.lives(*sector))
+                .ok_or(LogError::Full)?;
             let from = sector * Self::SECTOR;
             // Even where it reads as erased: a cut may have ended the erase too early for it to last.
             self.flash
@@ -343,15 +349,12 @@ impl<F: NorFlash> Log<F> {
         Ok(())
     }
 
-    /// Sees to it that a sector may be erased.
+    /// Sees to it that the next sector may be erased, as far as there is room.
     async fn tidy(&mut self) -> Result<(), LogError> {
-        if self.free().is_some() {
-            return Ok(());
-        }
-        let next = (self.active + 1) % self.sectors().max(1);
+        let next = self.others().next();
         for key in 0..KEYS as u8 {
             let live = self.live(key);
-            if !live.is_some() || live.address / Self::SECTOR != next {
+            if !live.is_some() || Some(live.address / Self::SECTOR) != next || !self.room(live.length) {
                 continue;
             }
             if self.fetch(live.address, live.length).await? {
