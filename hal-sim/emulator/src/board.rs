@@ -1,6 +1,7 @@
 //! The board: the part, its crystal, and what hangs on its wires. The same as `firmware/src/board.rs`, seen from the
 //! other side; a test of the whole image tells when they part.
 
+use core::ops::Range;
 use std::num::{NonZeroU32, NonZeroU64};
 
 use rigless::cpu;
@@ -9,6 +10,7 @@ use rigless::mcu::{Mcu, Operate as _};
 use rigless::snapshot::Store;
 use rigless::soc::Error;
 
+use crate::part::flash::MemoryMap;
 use crate::part::{BridgeTimer, Part, Pin};
 
 /// The core's clock in its registers' eyes, Hz.
@@ -20,6 +22,9 @@ pub const INSTRUCTIONS_PER_SECOND: u64 = 110_000_000;
 pub const CRYSTAL_HZ: u64 = 8_000_000;
 /// Clock of the IMU's bus, Hz.
 pub const IMU_HZ: u32 = 5_250_000;
+
+/// The sectors of the settings: `SETTINGS` in `memory.x`.
+pub const SETTINGS: Range<u64> = 0x0810_0000..0x0811_0000;
 
 /// The IMU's SPI.
 pub(crate) const IMU_SPI: usize = 1;
@@ -40,6 +45,7 @@ pub(crate) const HOME_ABOVE: Pin = Pin::new('F', 14);
 pub struct Board {
     /// Its part.
     pub part: Part,
+    map: MemoryMap,
 }
 
 impl Board {
@@ -48,9 +54,9 @@ impl Board {
     /// # Errors
     /// Where the part does not assemble.
     pub fn new(timer: BridgeTimer) -> Result<Self, Error> {
-        Ok(Self {
-            part: Part::new(CRYSTAL_HZ, timer)?,
-        })
+        let part = Part::new(CRYSTAL_HZ, timer)?;
+        let map = MemoryMap::of(part.bus())?;
+        Ok(Self { part, map })
     }
 }
 
@@ -96,6 +102,6 @@ impl machine::Board for Board {
             armv7m::Fpu::FpV4Sp,
             armv7m::MpuRegions::Eight,
         );
-        vec![Target::new("stm32f427", &mut self.part, core)]
+        vec![Target::new("stm32f427", &mut self.map, core)]
     }
 }

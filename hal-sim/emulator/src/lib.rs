@@ -15,8 +15,8 @@
 //! # What it is, and what it is not
 //!
 //! Every peripheral is a model at its registers, every instruction is executed, single-precision arithmetic is exact to
-//! the bit. Time counts instructions, not clocks: see [`board::INSTRUCTIONS_PER_SECOND`]. The flash keeps its contents
-//! when it is erased or written. Where the emulator cannot stand in for the part it says so, see
+//! the bit. Time counts instructions, not clocks: see [`board::INSTRUCTIONS_PER_SECOND`]. The flash is
+//! erased and written, and keeps what is stored. Where the emulator cannot stand in for the part it says so, see
 //! [`outcome::Gaps`].
 //!
 //! A run is a function of image and setup: the same ones give the same log.

@@ -87,10 +87,8 @@ struct Looker {
 }
 
 impl Driver<Board> for Looker {
-    fn on_settled(&mut self, session: &mut Session<Board>, _: &mut dyn Host, settled: Settled) {
-        if let Settled::Access { access, .. } = settled {
-            session.board_mut().part.correct(&access);
-        }
+    fn on_settled(&mut self, session: &mut Session<Board>, host: &mut dyn Host, settled: Settled) {
+        session.board_mut().part.correct(&settled, host);
     }
 
     fn on_stop(&mut self, _: &mut Session<Board>, stop: Stop, host: &mut dyn Host) -> Option<VirtualNanos> {

@@ -54,7 +54,7 @@ use crate::load::Meter;
 use crate::log::{Line, Reader};
 use crate::nmea::{self, Sentence, Splitter};
 use crate::outcome::{Cost, FaultSeen, Gaps, Moment, Outcome, ResetSeen, Verdict};
-use crate::part::BridgeTimer;
+use crate::part::{BridgeTimer, flash};
 use crate::stack::Stack;
 
 /// The grid of stops, ns: a tenth of a tick of the motor's loop.
@@ -550,10 +550,8 @@ impl<O: Observer> World<O> {
 }
 
 impl<O: Observer> Driver<Board> for World<O> {
-    fn on_settled(&mut self, session: &mut Session<Board>, _: &mut dyn Host, settled: Settled) {
-        if let Settled::Access { access, .. } = settled {
-            session.board_mut().part.correct(&access);
-        }
+    fn on_settled(&mut self, session: &mut Session<Board>, host: &mut dyn Host, settled: Settled) {
+        session.board_mut().part.correct(&settled, host);
     }
 
     fn on_stop(&mut self, session: &mut Session<Board>, stop: Stop, host: &mut dyn Host) -> Option<VirtualNanos> {
@@ -690,7 +688,12 @@ fn mode(text: &str) -> Option<&'static str> {
 fn gaps(session: &Session<Board>) -> Gaps {
     let exticr = |u: &&rigless::session::Unimplemented| u.instance == "SYSCFG" && u.register.starts_with("EXTICR");
     Gaps {
-        unmapped: session.unmapped().iter().map(ToString::to_string).collect(),
+        unmapped: session
+            .unmapped()
+            .iter()
+            .filter(|u| !flash::in_array(u.address))
+            .map(ToString::to_string)
+            .collect(),
         refused: session.refused().values().map(ToString::to_string).collect(),
         unrouted: session
             .unrouted()

@@ -6,10 +6,12 @@
 //! | `pwm` | a TIM1 that wakes nobody, in place of one that wakes 160 000 times a second |
 //! | [`Part::correct`] | a software update of a stopped timer sets capture flags that it must not set |
 //! | [`Part::power`] | the part takes no power-on reset there |
+//! | `flash` | an array that can be erased and written, where there it is read-only; what it lacks is told there |
 //!
 //! A board drives the part's pins from outside; the levels outlive a reset, which rebuilds the part.
 
 mod exti;
+pub(crate) mod flash;
 mod pwm;
 
 use std::collections::BTreeMap;
@@ -17,7 +19,7 @@ use std::collections::BTreeMap;
 use rigless::chip::spi;
 use rigless::chip::uart;
 use rigless::device::{ErasedDevice, Level, ResetCause};
-use rigless::emulator::{Access, AccessKind};
+use rigless::emulator::{Access, AccessKind, Memory, Settled};
 use rigless::mcu::{Mcu, Operate as _};
 use rigless::soc::stm32f427::Stm32f427;
 use rigless::soc::stm32f427::generated::{syscfg, tim1, tim2};
@@ -27,6 +29,7 @@ use rigless::soc::{Bus, Error};
 use rigless::time::VirtualNanos;
 
 use exti::Exti;
+use flash::Interface;
 use pwm::QuietTim1;
 
 /// Supply of the part, mV.
@@ -104,6 +107,8 @@ pub struct Part {
     exti_slot: usize,
     quiet: Option<QuietTim1>,
     tim1_slot: usize,
+    flash: Interface,
+    flash_slot: usize,
     driven: BTreeMap<Pin, Level>,
     break_level: Level,
 }
@@ -128,6 +133,8 @@ impl Part {
             exti_slot: inner.bus().slot("EXTI")?,
             quiet: (timer == BridgeTimer::Quiet).then(QuietTim1::default),
             tim1_slot: inner.bus().slot("TIM1")?,
+            flash: Interface::new(SUPPLY_MV),
+            flash_slot: inner.bus().slot("FLASH")?,
             inner,
             driven: BTreeMap::new(),
             break_level: Level::Low,
@@ -243,12 +250,32 @@ impl Part {
         context.request_power(on);
     }
 
-    /// Takes back what rigless 0.4.0 does wrong at an access; to be called after each.
+    /// Does what rigless 0.4.0 leaves out or does wrong at an access or a stop; to be called after each.
     ///
-    /// A software update (UG) of a stopped counter sets CC1IF to CC4IF there where CCRx is zero, and real parts do not:
-    /// embassy's clock would begin at half a period, and long sleeps could come late by as much.
-    pub fn correct(&mut self, access: &Access) {
-        if access.kind != AccessKind::Write || access.value & 1 == 0 {
+    /// A store into the flash is nobody's there, and no model reaches the array. A software update (UG) of a stopped
+    /// counter sets CC1IF to CC4IF there where CCRx is zero, and real parts do not: embassy's clock would begin at half
+    /// a period, and long sleeps could come late by as much.
+    pub fn correct<M: Memory + ?Sized>(&mut self, settled: &Settled, memory: &mut M) {
+        let at = match settled {
+            Settled::Access { access, .. } => {
+                if access.kind == AccessKind::Write {
+                    self.correct_write(access, memory);
+                }
+                access.virtual_time
+            }
+            Settled::Stop(stop) => stop.at,
+            _ => return,
+        };
+        self.flash.serve(at, memory);
+    }
+
+    fn correct_write<M: Memory + ?Sized>(&mut self, access: &Access, memory: &mut M) {
+        if flash::in_array(access.address) {
+            let (registers, mut context) = self.inner.bus_mut().drive(access.virtual_time, self.flash_slot);
+            self.flash.store(access, memory, registers, &mut context);
+            return;
+        }
+        if access.value & 1 == 0 {
             return;
         }
         let Some(number) = GENERAL_TIMERS.iter().position(|base| access.address == base + EGR) else {
@@ -291,6 +318,8 @@ impl Mcu for Part {
             _ => self.inner.reset(at, cause),
         }
         self.exti = Exti::default();
+        let registers = self.inner.bus_mut().slot_mut(self.flash_slot).registers_mut();
+        self.flash.restart(SUPPLY_MV, registers);
         if self.quiet.is_some() {
             self.quiet = Some(QuietTim1::default());
         }
@@ -308,6 +337,9 @@ impl Mcu for Part {
     fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
         if slot == self.exti_slot {
             return (self.inner.bus_mut(), Some(&mut self.exti));
+        }
+        if slot == self.flash_slot {
+            return (self.inner.bus_mut(), Some(&mut self.flash));
         }
         if slot == self.tim1_slot
             && let Some(quiet) = &mut self.quiet
