@@ -4,6 +4,7 @@
 //! that has heard the bytes so far, filled up to a length that the device understands; the model itself hears the
 //! transaction once, at its end. Nothing of a model is written a second time.
 
+use std::collections::VecDeque;
 use std::fmt::Debug;
 
 use drivers::adis16495::BURST_COMMAND;
@@ -110,13 +111,36 @@ impl<D: Device> Peer for Wired<D> {
     }
 }
 
-/// Whoever listens on the serial port.
+/// Time of a character, ns: ten bits at 115200 baud.
+const CHARACTER_NS: u64 = 10 * 1_000_000_000 / 115_200;
+/// How far a character may be off its time, ns. The receiver is looked at between two characters or at a stop; its rate
+/// is off by a thousandth, a tenth of a character in a line.
+const LATE_NS: u64 = 3 * CHARACTER_NS;
+
+/// Whoever is at the other end of the serial port: listens, and types.
+///
+/// Not modelled: the rate on this end. The controller times what it hears by its own.
 #[derive(Debug, Default)]
 pub struct Listener {
     heard: Vec<(u64, u8)>,
+    /// What is still to be sent, with its time.
+    typed: VecDeque<(u64, u8)>,
+    /// When the last of it has been sent.
+    free_ns: u64,
 }
 
 impl Listener {
+    /// Types a line from `at_ns` on, or after what is being typed: one character after the other, then CR LF. It goes
+    /// over the wire whether anybody receives it or not.
+    pub fn type_line(&mut self, at_ns: u64, line: &str) {
+        let mut at_ns = at_ns.max(self.free_ns);
+        for byte in line.bytes().chain(*b"\r\n") {
+            self.typed.push_back((at_ns, byte));
+            at_ns += CHARACTER_NS;
+        }
+        self.free_ns = at_ns;
+    }
+
     /// Takes what was heard: (ns of the stop bit's end, byte).
     pub fn take(&mut self) -> Vec<(u64, u8)> {
         core::mem::take(&mut self.heard)
@@ -130,14 +154,38 @@ impl uart::Peer for Listener {
         self.heard.push((timeline.now().0, word as u8));
     }
 
-    fn transmit(&mut self, _: VirtualNanos) -> Option<u16> {
-        None
+    fn transmit(&mut self, now: VirtualNanos) -> Option<u16> {
+        // Asked by a receiver that is on and free: what should have gone long ago came while it was neither.
+        while self.typed.front().is_some_and(|(at_ns, _)| at_ns + LATE_NS < now.0) {
+            self.typed.pop_front();
+        }
+        let due = self.typed.front().is_some_and(|(at_ns, _)| *at_ns < now.0 + LATE_NS);
+        let (_, byte) = due.then(|| self.typed.pop_front()).flatten()?;
+        Some(byte.into())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_typed_goes_by_its_time() {
+        use rigless::chip::uart::Peer as _;
+        let mut listener = Listener::default();
+        let mut sent = |at_ns| listener.transmit(VirtualNanos(at_ns)).map(|word| word as u8 as char);
+        assert_eq!(sent(0), None);
+        listener.type_line(1_000_000, "ab");
+        listener.type_line(1_000_000, "c");
+        let mut sent = |at_ns| listener.transmit(VirtualNanos(at_ns)).map(|word| word as u8 as char);
+        assert_eq!(sent(500_000), None);
+        // A receiver that is 0.1 % fast.
+        let heard: String = (0..5).filter_map(|k| sent(1_000_000 + k * 86_719)).collect();
+        assert_eq!(heard, "ab\r\nc");
+        // One that was off in between.
+        assert_eq!(sent(5_000_000), None);
+        assert_eq!(listener.typed.len(), 0);
+    }
 
     #[test]
     fn a_burst_is_shorter_than_the_length_it_is_filled_to() {

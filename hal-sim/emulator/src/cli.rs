@@ -3,8 +3,8 @@
 //! Log, sentences and result go to stdout, the progress bar to stderr. Exit codes: 0 aligned and within 3σ; 1 not
 //! aligned; 2 bad input; 3 beyond 3σ; 4 cable wound past its end; 5 the emulator has gaps.
 
-use std::fs::File;
-use std::io::{self, BufWriter, IsTerminal as _, Write};
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufWriter, IsTerminal as _, Read as _, Seek as _, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
@@ -13,11 +13,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use clap::Parser;
 use emulator::image::Image;
 use emulator::log::Line;
-use emulator::nmea::Sentence;
+use emulator::nmea::{self, Sentence};
 use emulator::outcome::{Outcome, Verdict};
 use emulator::part::BridgeTimer;
 use emulator::report;
-use emulator::run::{self, Observer, PowerCut, Setup};
+use emulator::run::{self, Observer, PowerCut, Setup, Typed};
 use hal_sim::align::{Angles, Method};
 use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
 use hal_sim::unit_sim;
@@ -52,6 +52,12 @@ struct Cli {
     /// Cut the power: AT or AT,FOR in s
     #[arg(long, value_name = "CUT")]
     power_cut: Vec<Timed<()>>,
+    /// Type a line on the serial port: AT in s, a blank, the line
+    #[arg(long = "type", value_name = "AT LINE", value_parser = typed)]
+    typed: Vec<Typed>,
+    /// The settings' flash, bank 2 sectors 12 to 15: what the file holds, if it is there, and what is left goes into it
+    #[arg(long, value_name = "FILE")]
+    flash: Option<PathBuf>,
     /// Let rigless's own TIM1 drive the bridge: twice as slow
     #[arg(long)]
     full_timer: bool,
@@ -85,6 +91,17 @@ fn times(text: &str) -> Result<(f64, Option<f64>), String> {
     match text.split_once(',') {
         Some((at, length)) => Ok((seconds(at)?, Some(seconds(length)?))),
         None => Ok((seconds(text)?, None)),
+    }
+}
+
+fn typed(text: &str) -> Result<Typed, String> {
+    let (at, line) = text.split_once(' ').ok_or("AT LINE is expected")?;
+    match times(at)? {
+        (at_s, None) => Ok(Typed {
+            at_s,
+            text: line.to_owned(),
+        }),
+        _ => Err(format!("`{at}` is no time in seconds")),
     }
 }
 
@@ -154,7 +171,8 @@ impl Observer for Printer {
                     .unwrap_or_else(PoisonError::into_inner)
                     .get_or_insert(e);
             }
-        } else if !self.quiet {
+        } else if !self.quiet && !nmea::is_answer(&sentence.text) {
+            // An answer is in the log.
             self.bar.suspend(|| print(&format!("{}\n", sentence.text)));
         }
     }
@@ -197,7 +215,12 @@ fn command(cli: &Cli) -> Result<Verdict, String> {
         Some(_) => words(e),
         None => format!("{e}; `cargo fw` builds the image"),
     })?;
-    let setup = setup(cli)?;
+    let mut setup = setup(cli)?;
+    let flash = cli
+        .flash
+        .as_deref()
+        .map(|path| open_flash(path, &mut setup))
+        .transpose()?;
     let failed = Arc::default();
     let printer = Printer {
         bar: bar(cli),
@@ -218,6 +241,11 @@ fn command(cli: &Cli) -> Result<Verdict, String> {
     }
     if let Some(e) = failed.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(format!("cannot write sentences: {e}"));
+    }
+    if let Some((mut file, path)) = flash.zip(cli.flash.as_deref()) {
+        file.rewind()
+            .and_then(|()| file.write_all(&outcome.flash))
+            .map_err(|e| format!("cannot write {}: {e}", path.display()))?;
     }
     let compared = if cli.compare { compare(&setup, &outcome)? } else { None };
     print(&report::text(&outcome));
@@ -240,6 +268,19 @@ fn command(cli: &Cli) -> Result<Verdict, String> {
 
 fn create(path: &Path) -> Result<File, String> {
     File::create(path).map_err(|e| format!("cannot write {}: {e}", path.display()))
+}
+
+/// Opens the file of the flash, for what it holds and for what will be left.
+fn open_flash(path: &Path, setup: &mut Setup) -> Result<File, String> {
+    let problem = |e| format!("cannot use {}: {e}", path.display());
+    let mut options = OpenOptions::new();
+    let options = options.read(true).write(true).create(true).truncate(false);
+    let mut file = options.open(path).map_err(problem)?;
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes).map_err(problem)?;
+    // A file of no length is one that was not there.
+    setup.flash = (!bytes.is_empty()).then_some(bytes);
+    Ok(file)
 }
 
 fn setup(cli: &Cli) -> Result<Setup, String> {
@@ -268,6 +309,7 @@ fn setup(cli: &Cli) -> Result<Setup, String> {
     });
     Ok(Setup {
         power_cuts: power_cuts.collect(),
+        typed: cli.typed.clone(),
         timer: if cli.full_timer {
             BridgeTimer::Full
         } else {
@@ -307,6 +349,13 @@ fn compare(setup: &Setup, outcome: &Outcome) -> Result<Option<Compared>, String>
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_typed_has_its_time() {
+        let line = typed("12.5 set latitude 40.1").unwrap();
+        assert_eq!((line.at_s, line.text.as_str()), (12.5, "set latitude 40.1"));
+        assert!(typed("12.5").is_err() && typed("12.5,3 x").is_err() && typed("soon x").is_err());
+    }
 
     #[test]
     fn faults_have_names_and_times() {

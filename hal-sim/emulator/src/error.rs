@@ -26,6 +26,13 @@ pub enum Error {
     },
     /// The scenario has a figure out of range.
     Scenario(Violation),
+    /// The flash to start from has another length than the settings' sectors.
+    Flash {
+        /// Bytes of the sectors.
+        expected: usize,
+        /// Bytes found.
+        found: usize,
+    },
     /// The part does not assemble.
     Part(rigless::soc::Error),
     /// The emulator cannot go on.
@@ -40,6 +47,9 @@ impl core::fmt::Display for Error {
             Self::Elf { path, problem } => write!(f, "{}: {problem}", path.display()),
             Self::NoLog { problem } => write!(f, "the image's log cannot be read: {problem}"),
             Self::Scenario(e) => e.fmt(f),
+            Self::Flash { expected, found } => {
+                write!(f, "flash of {found} bytes, where the settings have {expected}")
+            }
             Self::Part(e) => e.fmt(f),
             Self::Run(e) => write!(f, "emulator: {e}"),
         }

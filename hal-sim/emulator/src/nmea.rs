@@ -19,6 +19,15 @@ pub struct Sentence {
     pub text: String,
 }
 
+/// A line.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Heard {
+    /// A sentence.
+    Sentence(Sentence),
+    /// Anything else, without CR LF.
+    Other(String),
+}
+
 /// What came over the line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Received {
@@ -40,8 +49,8 @@ pub struct Splitter {
 }
 
 impl Splitter {
-    /// Takes a byte that came at `t_ns`; gives the sentence that ends with it.
-    pub fn push(&mut self, t_ns: u64, byte: u8) -> Option<Sentence> {
+    /// Takes a byte that came at `t_ns`; gives the line that ends with it.
+    pub fn push(&mut self, t_ns: u64, byte: u8) -> Option<Heard> {
         if self.last_ns.is_none_or(|last| t_ns > last + PAUSE_NS) {
             self.burst_ns = t_ns;
         }
@@ -55,16 +64,17 @@ impl Splitter {
         if line == b"\r" || line.is_empty() {
             return None;
         }
-        let text = checked(&line);
-        match text {
-            Some(_) => self.received.sentences += 1,
-            None => self.received.others += 1,
-        }
-        text.map(|text| Sentence {
+        let Some(text) = checked(&line) else {
+            self.received.others += 1;
+            let text = String::from_utf8_lossy(&line);
+            return Some(Heard::Other(text.trim_end_matches('\r').to_owned()));
+        };
+        self.received.sentences += 1;
+        Some(Heard::Sentence(Sentence {
             burst_ns: self.burst_ns,
             t_ns,
             text,
-        })
+        }))
     }
 
     /// Totals so far.
@@ -80,6 +90,11 @@ fn checked(line: &[u8]) -> Option<String> {
     let expected = body.bytes().fold(0, |sum, byte| sum ^ byte);
     let found = u8::from_str_radix(sum, 16).ok()?;
     (sum.len() == 2 && found == expected && line.len() < LONGEST).then(|| text.to_owned())
+}
+
+/// Whether a sentence is the answer to a command.
+pub fn is_answer(sentence: &str) -> bool {
+    sentence.starts_with("$PRNSA,")
 }
 
 /// Attitude and its 1σ of a `$PASHR` that has them.
@@ -108,6 +123,13 @@ mod tests {
         times
             .zip(text.bytes())
             .filter_map(|(t, byte)| splitter.push(t, byte))
+            .filter_map(|heard| match heard {
+                Heard::Sentence(sentence) => Some(sentence),
+                Heard::Other(text) => {
+                    assert!(!text.contains(['\r', '\n']), "{text:?}");
+                    None
+                }
+            })
             .collect()
     }
 

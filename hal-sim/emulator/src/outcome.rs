@@ -154,6 +154,9 @@ pub struct Outcome {
     pub gaps: Gaps,
     /// What it cost.
     pub cost: Cost,
+    /// What is in the settings' sectors at the end.
+    #[serde(skip)]
+    pub flash: Vec<u8>,
     /// Hash of the log and the serial line: equal runs have equal ones.
     pub trace: u64,
 }

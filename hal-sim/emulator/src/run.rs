@@ -21,6 +21,7 @@
 //! * a bus that never ends a transfer: the DMA requests of its SPI are taken away.
 
 use core::hash::{Hash as _, Hasher as _};
+use core::ops::Range;
 use std::collections::VecDeque;
 use std::collections::hash_map::DefaultHasher;
 
@@ -52,7 +53,7 @@ use crate::error::Error;
 use crate::image::Image;
 use crate::load::Meter;
 use crate::log::{Line, Reader};
-use crate::nmea::{self, Sentence, Splitter};
+use crate::nmea::{self, Heard, Sentence, Splitter};
 use crate::outcome::{Cost, FaultSeen, Gaps, Moment, Outcome, ResetSeen, Verdict};
 use crate::part::{BridgeTimer, flash};
 use crate::stack::Stack;
@@ -79,6 +80,15 @@ pub struct PowerCut {
     pub for_s: f64,
 }
 
+/// A line typed to the unit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Typed {
+    /// When its first character begins, s.
+    pub at_s: f64,
+    /// The line, without CR LF.
+    pub text: String,
+}
+
 /// What is run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setup {
@@ -90,18 +100,24 @@ pub struct Setup {
     pub seconds: f64,
     /// Power cuts.
     pub power_cuts: Vec<PowerCut>,
+    /// Lines typed on the serial port.
+    pub typed: Vec<Typed>,
+    /// What is in the settings' sectors, [`board::SETTINGS`], at the beginning; erased where nothing is said.
+    pub flash: Option<Vec<u8>>,
     /// What drives the bridge's timer.
     pub timer: BridgeTimer,
 }
 
 impl Setup {
-    /// A run without power cuts.
+    /// A run without power cuts, lines typed, or anything stored.
     pub fn new(scenario: Scenario, seed: u64, seconds: f64) -> Self {
         Self {
             scenario,
             seed,
             seconds,
             power_cuts: Vec::new(),
+            typed: Vec::new(),
+            flash: None,
             timer: BridgeTimer::default(),
         }
     }
@@ -130,9 +146,25 @@ pub fn run<O: Observer>(image: &Image, setup: &Setup, observer: O) -> Result<(Ou
     let mut board = Board::new(setup.timer)?;
     world.populate(&mut board);
     let session = Session::new(Box::new(board), 0, VirtualNanos(STEP_NS))?;
-    let images = [image.file.clone(), stack.paint()?];
+    let mut images = vec![image.file.clone(), stack.paint()?];
+    images.extend(setup.flash.as_deref().map(stored).transpose()?);
     let finished = emulator::run(session, &Start::new(&images), world)?;
     Ok(finished.driver.outcome(finished.session, image, setup))
+}
+
+/// What was stored before the run, as an image beside the firmware's.
+fn stored(flash: &[u8]) -> Result<rigless::image::Image, Error> {
+    let Range { start, end } = board::SETTINGS;
+    let expected = (end - start) as usize;
+    if flash.len() != expected {
+        let found = flash.len();
+        return Err(Error::Flash { expected, found });
+    }
+    Ok(rigless::image::Image::new(
+        "settings".as_ref(),
+        flash.to_vec(),
+        Some(start),
+    )?)
 }
 
 /// A power switch that moves.
@@ -166,6 +198,7 @@ struct World<O> {
 
     faults: VecDeque<Step>,
     supply: VecDeque<Supply>,
+    typed: VecDeque<(u64, String)>,
     powered: bool,
     bus_stuck: bool,
     hung: bool,
@@ -186,6 +219,7 @@ struct World<O> {
     silent: bool,
     driven_after_reset: bool,
     instructions: u64,
+    flash: Vec<u8>,
     hash: DefaultHasher,
     observer: O,
 }
@@ -209,6 +243,12 @@ impl<O: Observer> World<O> {
             }
         }
         supply.sort_by_key(|switch| switch.at_ns);
+        let mut typed: Vec<_> = setup
+            .typed
+            .iter()
+            .map(|line| (ns(line.at_s), line.text.clone()))
+            .collect();
+        typed.sort_by_key(|(at_ns, _)| *at_ns);
         let angle = plant.angle();
         Ok(Self {
             exposure: Exposure::new(scenario, setup.seed, &truth),
@@ -227,6 +267,7 @@ impl<O: Observer> World<O> {
             samples: 0,
             faults: fault::steps(&scenario.fault).into(),
             supply: supply.into(),
+            typed: typed.into(),
             powered: true,
             bus_stuck: false,
             hung: false,
@@ -245,6 +286,7 @@ impl<O: Observer> World<O> {
             silent: true,
             driven_after_reset: false,
             instructions: 0,
+            flash: Vec::new(),
             hash: DefaultHasher::new(),
             observer,
             plant,
@@ -463,6 +505,9 @@ impl<O: Observer> World<O> {
         if let Some((angles, sd)) = nmea::pashr(&sentence.text) {
             self.estimate(sentence.burst_ns, angles, sd);
         }
+        if nmea::is_answer(&sentence.text) {
+            self.tell(sentence.t_ns, format!("< {}", sentence.text));
+        }
         self.observer.sentence(sentence);
     }
 
@@ -489,8 +534,10 @@ impl<O: Observer> World<O> {
         }
         let heard = session.board_mut().part.usart_peer::<Listener>(board::SERIAL);
         for (t_ns, byte) in heard.map(Listener::take).unwrap_or_default() {
-            if let Some(sentence) = self.splitter.push(t_ns, byte) {
-                self.sentence(&sentence);
+            match self.splitter.push(t_ns, byte) {
+                Some(Heard::Sentence(sentence)) => self.sentence(&sentence),
+                Some(Heard::Other(text)) => self.tell(t_ns, format!("< {text}")),
+                None => {}
             }
         }
         self.instructions = stop.instruction_count;
@@ -510,7 +557,8 @@ impl<O: Observer> World<O> {
         };
         let fault = self.faults.front().map_or(u64::MAX, |step| step.at_ns);
         let supply = self.supply.front().map_or(u64::MAX, |switch| switch.at_ns);
-        let due = [sample, self.rise_ns, self.fall_ns, fault, supply];
+        let typed = self.typed.front().map_or(u64::MAX, |(at_ns, _)| *at_ns);
+        let due = [sample, self.rise_ns, self.fall_ns, fault, supply, typed];
         let due = due.into_iter().filter(|due| *due > at_ns).min().unwrap_or(u64::MAX);
         VirtualNanos(grid.min(due).min(self.end_ns))
     }
@@ -542,6 +590,7 @@ impl<O: Observer> World<O> {
                 stack: self.stack,
                 footprint: image.footprint().clone(),
             },
+            flash: self.flash,
             trace: self.hash.finish(),
         };
         outcome.verdict = outcome.judge();
@@ -575,6 +624,15 @@ impl<O: Observer> Driver<Board> for World<O> {
             self.tell(at.0, format!("-- power {} --", if switch.on { "on" } else { "off" }));
             self.switch(session, host, at, switch.on);
         }
+        while self.typed.front().is_some_and(|(at_ns, _)| *at_ns <= at.0) {
+            let Some((at_ns, text)) = self.typed.pop_front() else {
+                break;
+            };
+            if let Some(listener) = session.board_mut().part.usart_peer::<Listener>(board::SERIAL) {
+                listener.type_line(at_ns, &text);
+            }
+            self.tell(at.0, format!("> {text}"));
+        }
         if self.bus_stuck {
             let access = Access::new(AccessKind::Write, IMU_SPI_CR2, Width::W32, 0);
             session.access(access.at(stop.instruction_count, at), host);
@@ -586,6 +644,8 @@ impl<O: Observer> Driver<Board> for World<O> {
         if at.0 >= self.end_ns {
             self.look(session, host, stop);
             self.stack.look(host);
+            let bytes = board::SETTINGS.flat_map(|address| host.read(address, Width::W8));
+            self.flash = bytes.map(|byte| byte as u8).collect();
             return None;
         }
         Some(self.next(at.0))

@@ -3,12 +3,13 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use assert_cmd::Command;
+use emulator::error::Error;
 use emulator::image::Image;
 use emulator::log::Line;
 use emulator::nmea::Sentence;
 use emulator::outcome::Outcome;
 use emulator::part::BridgeTimer;
-use emulator::run::{self, Observer, PowerCut, Setup};
+use emulator::run::{self, Observer, PowerCut, Setup, Typed};
 use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
 
 /// The release image.
@@ -195,6 +196,36 @@ fn power_cuts_at_any_instant() {
     }
 }
 
+/// What is stored at the beginning is there for the unit, and at the end, whatever happens to its supply.
+#[test]
+fn the_flash_outlives_a_power_cut() {
+    let stored: Vec<u8> = (0..64 * 1024_u32).map(|k| (k * 7 % 251) as u8).collect();
+    let setup = |flash: Vec<u8>| Setup {
+        power_cuts: vec![PowerCut { at_s: 1.0, for_s: 0.2 }],
+        typed: vec![Typed {
+            at_s: 0.5,
+            text: "status".to_owned(),
+        }],
+        flash: Some(flash),
+        ..Setup::new(paper(), 1, 2.0)
+    };
+    let (outcome, kept) = run(&setup(stored.clone()));
+    assert_eq!(outcome.resets.len(), 1, "{:?}", outcome.resets);
+    assert!(outcome.flash == stored);
+    assert!(
+        kept.lines.iter().any(|line| line.ends_with("HOST  > status")),
+        "{:?}",
+        kept.lines
+    );
+
+    let erased = run(&Setup::new(paper(), 1, 0.1)).0.flash;
+    assert!(erased.len() == stored.len() && erased.iter().all(|byte| *byte == 0xFF));
+    assert!(matches!(
+        run::run(&image(), &setup(vec![0; 3]), ()),
+        Err(Error::Flash { found: 3, .. })
+    ));
+}
+
 #[test]
 fn memory_by_section_is_what_the_linker_says() {
     let image = image();
@@ -227,4 +258,5 @@ fn the_command_tells_by_its_exit_code() {
     assert_eq!(command(&["no such image"]).0, Some(2));
     assert_eq!(command(&["--fault", "hunger@3"]).0, Some(2));
     assert_eq!(command(&["--seconds", "-1"]).0, Some(2));
+    assert_eq!(command(&["--type", "status"]).0, Some(2));
 }
