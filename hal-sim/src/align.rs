@@ -1,10 +1,9 @@
 //! The unit's own aligner on the host: how a scenario's or a user's figures become its configuration,
 //! and what it says in degrees.
 
-use frames::units::{ARC_MIN, ARC_SEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
+use frames::units::{ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
 use frames::{Attitude, AttitudeSd, Real, Sensor, Vec3};
 use nav::aligner::{Aligner, AlignerConfig, AlignerError, Estimate, Event, Mode, NotReady, Restart};
-use nav::constraint::{ConstraintConfig, EncoderConstraint};
 use nav::fine::{self, FilterConfig};
 use nav::increment::Sample;
 
@@ -61,14 +60,12 @@ pub struct Setup {
     pub unit: Unit,
     /// The fine filter.
     pub method: Method,
-    /// That the base is fixed to Earth, and how well the encoder measures it by that: 1σ of an angle read, arcsec.
-    pub encoder_constraint_arcsec: Option<f64>,
 }
 
 impl Setup {
     /// What a unit in this scenario would be told: its place, its rotor and its data sheet.
     ///
-    /// A perfect IMU is weighed as the paper's: no filter works without noise. Of its base it is told nothing.
+    /// A perfect IMU is weighed as the paper's: no filter works without noise.
     pub fn of(scenario: &Scenario, method: Method) -> Self {
         let unit = if scenario.imu.angle_random_walk_deg_sqrt_h > 0.0 {
             scenario.imu.clone()
@@ -85,7 +82,6 @@ impl Setup {
             },
             unit,
             method,
-            encoder_constraint_arcsec: None,
         }
     }
 
@@ -94,12 +90,6 @@ impl Setup {
         let filter = FilterConfig {
             noise: noise(&self.unit),
             method: self.method.policy(),
-            encoder_constraint: self.encoder_constraint_arcsec.and_then(|arcsec| {
-                EncoderConstraint::new(ConstraintConfig {
-                    encoder_sd: T::lit(arcsec * ARC_SEC),
-                    ..ConstraintConfig::default()
-                })
-            }),
             ..FilterConfig::default()
         };
         let rotor = RotorConfig {
