@@ -11,6 +11,7 @@ use hal_sim::device::flash::{ENDURANCE, ERASE_STEPS, ERASE_US, Flash, PROGRAM_US
 use nav::calibration::Calibration;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
 use serde::Deserialize;
 
 /// A record's fields, as they are in flash.
@@ -161,69 +162,100 @@ fn old_or_new(found: &Settings, report: &Report, old: &Settings, new: &Settings,
     body(found, group) == body(new, group)
 }
 
-/// 10 000 sequences of saves from 300 points of a life, three cuts at any byte in each.
+/// What the cuts hit.
+#[derive(Debug, Default)]
+struct Tally {
+    cuts: usize,
+    in_erases: usize,
+    /// While records were moved.
+    moving: usize,
+    /// With the new value after it.
+    news: usize,
+    /// Groups called older that are not.
+    suspected: usize,
+}
+
+impl Tally {
+    fn add(self, other: Self) -> Self {
+        Self {
+            cuts: self.cuts + other.cuts,
+            in_erases: self.in_erases + other.in_erases,
+            moving: self.moving + other.moving,
+            news: self.news + other.news,
+            suspected: self.suspected + other.suspected,
+        }
+    }
+}
+
+/// Saves from a point of a life, three cuts at any byte in them, and then all goes on as if nothing had been.
+fn sequence(seed: u64, image: &Image, rng: &mut ChaCha8Rng) -> Tally {
+    let mut tally = Tally::default();
+    let flash = Flash::with_bytes(&image.bytes, seed);
+    let (mut store, mut settings, _) = start(&flash);
+    for _ in 0..3 {
+        let most = if rng.random_bool(0.7) { 300 } else { 1500 };
+        flash.cut_after(rng.random_range(0..most));
+        for _ in 0..30 {
+            let group = any_group(rng);
+            let mut new = settings;
+            change(&mut new, group, rng);
+            let before = flash.counts();
+            let saved = block_on(store.save(&new, group));
+            if saved.is_ok() {
+                settings = new;
+                continue;
+            }
+            assert_eq!(saved, Err(StoreError::Flash));
+            // A record has 32 words at the most.
+            let moving = flash.counts().words - before.words > 32;
+            let erased = flash.counts().erases != before.erases;
+            let (again, found, report) = start(&flash);
+            let new = old_or_new(&found, &report, &settings, &new, group, &format!("seed {seed}"));
+            tally = tally.add(Tally {
+                cuts: 1,
+                in_erases: usize::from(erased && !moving),
+                moving: usize::from(moving),
+                news: usize::from(new),
+                suspected: 0,
+            });
+            (store, settings) = (again, found);
+            break;
+        }
+    }
+    let (mut store, _, _) = start(&flash);
+    for group in Group::ALL {
+        change(&mut settings, group, rng);
+        block_on(store.save(&settings, group)).unwrap();
+    }
+    let (_, found, report) = start(&flash);
+    assert_eq!(found, settings, "seed {seed}");
+    // An old record in half an erased sector may look like a later one.
+    tally.suspected += report.wanting().count();
+    assert_eq!(
+        flash.counts().clashes,
+        0,
+        "seed {seed}: written over what was not erased"
+    );
+    tally
+}
+
+/// 10 000 sequences from 300 points of three lives.
 #[test]
 fn no_power_cut_loses_a_value() {
     let images: Vec<Image> = (0..3).flat_map(|seed| life(seed, 6000)).collect();
     let full: Vec<Image> = images.iter().filter(|image| image.full).cloned().collect();
-    let (mut cuts, mut in_erases, mut news, mut moved, mut suspected) = (0, 0, 0, 0, 0);
-    for seed in 0..10_000 {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let from = if rng.random_bool(0.7) { &full } else { &images };
-        let image = &from[rng.random_range(0..from.len())];
-        let flash = Flash::with_bytes(&image.bytes, seed);
-        let (mut store, mut settings, _) = start(&flash);
-        for _ in 0..3 {
-            let most = if rng.random_bool(0.7) { 300 } else { 1500 };
-            flash.cut_after(rng.random_range(0..most));
-            for _ in 0..30 {
-                let group = any_group(&mut rng);
-                let mut new = settings;
-                change(&mut new, group, &mut rng);
-                let before = flash.counts();
-                let saved = block_on(store.save(&new, group));
-                if saved.is_ok() {
-                    settings = new;
-                    continue;
-                }
-                assert_eq!(saved, Err(StoreError::Flash));
-                cuts += 1;
-                let erased = flash.counts().erases != before.erases;
-                // A record has 32 words at the most.
-                let copied = flash.counts().words - before.words > 32;
-                in_erases += usize::from(erased && !copied);
-                moved += usize::from(copied);
-                let (again, found, report) = start(&flash);
-                if old_or_new(&found, &report, &settings, &new, group, &format!("seed {seed}")) {
-                    news += 1;
-                }
-                (store, settings) = (again, found);
-                break;
-            }
-        }
-        flash.power_up();
-        let (mut store, _, _) = start(&flash);
-        // And the unit goes on as if nothing had been.
-        for group in Group::ALL {
-            change(&mut settings, group, &mut rng);
-            block_on(store.save(&settings, group)).unwrap();
-        }
-        let (_, found, report) = start(&flash);
-        assert_eq!(found, settings, "seed {seed}");
-        // An old record in half an erased sector may look like a later one; what is called older is not.
-        suspected += report.wanting().count();
-        assert_eq!(
-            flash.counts().clashes,
-            0,
-            "seed {seed}: written over what was not erased"
-        );
-    }
-    println!(
-        "{} images, {cuts} cuts, {in_erases} in an erase, {moved} while records were moved, {news} with the new value, {suspected} \
-         suspected for nothing",
-        images.len()
-    );
-    assert!(cuts > 20_000 && in_erases > 1000 && moved > 300 && news > 100 && suspected < 20);
+    let tally = (0..10_000)
+        .into_par_iter()
+        .map(|seed| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let from = if rng.random_bool(0.7) { &full } else { &images };
+            let image = &from[rng.random_range(0..from.len())];
+            sequence(seed, image, &mut rng)
+        })
+        .reduce(Tally::default, Tally::add);
+    println!("{} images, {tally:?}", images.len());
+    assert!(tally.cuts > 20_000 && tally.in_erases > 1000 && tally.moving > 300);
+    assert!(tally.news > 100 && tally.suspected < 20);
 }
 
 /// Every byte of the saves that change the sector and move what is left behind.
@@ -303,30 +335,44 @@ fn a_life_of_power_cuts() {
     assert!(counts.clashes == 0 && counts.erases.iter().all(|erases| *erases >= 4));
 }
 
-/// Saves that are given up, by the same store, at every microsecond.
+/// Saves that are given up, and the same store goes on.
 #[test]
 fn a_save_that_is_dropped() {
-    let image = &life(3, 5000)[30];
+    let mut images = life(3, 5000);
+    images.retain(|image| image.full);
     let mut rng = ChaCha8Rng::seed_from_u64(3);
-    for at in (0..60).map(|k| k * 37).chain([ERASE_US / 2, ERASE_US, ERASE_US + 100]) {
-        let flash = Flash::with_bytes(&image.bytes, at);
+    let mut dropped = 0;
+    for k in 0..2000 {
+        let image = &images[k % images.len()];
+        let flash = Flash::with_bytes(&image.bytes, 0);
         let (_, mut settings, _) = start(&flash);
         let mut store = Store::new(flash.clone().awaited());
         vtime::Executor::new()
             .block_on(Duration::from_secs(60), async {
-                for _ in 0..20 {
-                    let group = Group::ALL[rng.random_range(0..Group::ALL.len())];
+                for nth in 0..4 {
+                    // The first one in or behind the erase, at every second word.
+                    let at = match nth {
+                        0 => ERASE_US - 100 + 2 * PROGRAM_US * (k / images.len()) as u64,
+                        _ => rng.random_range(0..600),
+                    };
+                    let group = any_group(&mut rng);
                     let mut new = settings;
                     change(&mut new, group, &mut rng);
-                    let _ = with_timeout(Duration::from_micros(at), store.save(&new, group)).await;
+                    let saved = with_timeout(Duration::from_micros(at + 8), store.save(&new, group)).await;
+                    dropped += usize::from(saved.is_err());
                     let (found, report) = store.load().await;
-                    old_or_new(&found, &report, &settings, &new, group, &format!("{at} us"));
+                    old_or_new(&found, &report, &settings, &new, group, &format!("{k} at {at} us"));
                     settings = found;
+                    // And goes on with what it then knows.
+                    change(&mut settings, group, &mut rng);
+                    assert!(store.save(&settings, group).await.is_ok(), "{k} at {at} us");
                 }
             })
             .unwrap();
-        assert_eq!((start(&flash).1, flash.counts().clashes), (settings, 0));
+        assert_eq!((start(&flash).1, flash.counts().clashes), (settings, 0), "{k}");
     }
+    println!("{dropped} saves dropped");
+    assert!(dropped > 1000);
 }
 
 /// A record as the format has it, written down once more.
@@ -606,6 +652,20 @@ fn the_sectors_wear_evenly_and_slowly() {
     let good_for = f64::from(saves) / f64::from(*most) * f64::from(ENDURANCE);
     println!("{erases:?}: good for {:.1} million saves", good_for * 1e-6);
     assert!(good_for > 18e6);
+}
+
+#[test]
+fn what_it_takes_of_memory() {
+    let mut store = Store::new(Flash::new(0));
+    let own = size_of::<Store<Flash>>() - size_of::<Flash>();
+    let settings = Settings::default();
+    let save = size_of_val(&store.save(&settings, Group::Imu));
+    let load = size_of_val(&store.load());
+    println!(
+        "store {own}, settings {}, save {save}, load {load} bytes",
+        size_of::<Settings>()
+    );
+    assert!(own <= 560 && size_of::<Settings>() <= 500 && save <= 400 && load <= 1600);
 }
 
 #[test]

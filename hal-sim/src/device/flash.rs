@@ -20,7 +20,7 @@
 //! # Sources
 //!
 //! STM32F427xx/429xx data sheet DS9405, tables *Flash memory programming* and *Flash memory endurance and data
-//! retention*; RM0090, 3.6 and 3.7.
+//! retention*; RM0090, *Embedded flash memory interface*.
 //!
 //! Not modelled: bits that read now one way, now the other after a cut; wear beyond its count; reads of the bank that
 //! is busy (they stall the core; the store does none).

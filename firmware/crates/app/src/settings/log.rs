@@ -18,9 +18,9 @@
 //!
 //! # Why not `sequential-storage`
 //!
-//! It is 9 kB of code beside this one's 2 kB. And it tells full, open and erased sectors by their first and last byte,
-//! which an interrupted erase leaves to chance: of 1336 cuts in erases, simulated bit by bit, it came up with values
-//! lost after 58.
+//! It is 8 kB of code beside this one's 3 kB. And it tells full, open and erased sectors by their first and last byte,
+//! which an interrupted erase leaves to chance: version 8.0.2 came out of 1336 cuts in an erase, simulated bit by bit,
+//! with values lost 58 times.
 //!
 //! Not modelled: a bit that reads right after the cut and wrong later. A save reads back what it has written, so does
 //! every start.

@@ -249,7 +249,7 @@ pub struct Encoder {
 /// All settings. The default is what holds for a unit that nobody has set.
 ///
 /// Ranges are in `docs/settings.md`, and in the [errors](Invalid).
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
     /// [`Group::Identity`].
     pub identity: Identity,
@@ -269,6 +269,23 @@ pub struct Settings {
     pub encoder: Encoder,
 }
 
+impl Default for Settings {
+    // Once in the image, not at every place that begins with it.
+    #[inline(never)]
+    fn default() -> Self {
+        Self {
+            identity: Identity::default(),
+            installation: Installation::default(),
+            last_position: Position::default(),
+            motion: RotorConfig::default(),
+            output: OutputConfig::default(),
+            imu: Imu::default(),
+            thermal: Thermal::default(),
+            encoder: Encoder::default(),
+        }
+    }
+}
+
 impl Settings {
     /// The position to align with: the configured one where somebody has entered it, or else the last good one, or
     /// else the default.
@@ -286,11 +303,7 @@ impl Settings {
     /// # Errors
     /// [`Invalid`] with the first that cannot, and its range.
     pub fn validate(&self, group: Group) -> Result<(), Invalid> {
-        let mut codec = Codec::check();
-        // The walk only reads in this direction, but is written once for all three.
-        let mut copy = *self;
-        copy.fields(group, group.version(), &mut codec);
-        codec.end().map(|_| ())
+        self.walk(group, Codec::check()).map(|_| ())
     }
 
     /// Body of a group's record: how many bytes of `bytes` it takes.
@@ -298,7 +311,11 @@ impl Settings {
     /// # Errors
     /// [`Invalid`]: nothing out of range is written.
     pub fn encode(&self, group: Group, bytes: &mut [u8]) -> Result<usize, Invalid> {
-        let mut codec = Codec::write(bytes);
+        self.walk(group, Codec::write(bytes))
+    }
+
+    /// A walk that changes nothing here: it is written once for all directions, hence the copy.
+    fn walk(&self, group: Group, mut codec: Codec<'_>) -> Result<usize, Invalid> {
         let mut copy = *self;
         copy.fields(group, group.version(), &mut codec);
         codec.end()

@@ -282,6 +282,38 @@ fn the_position_used() {
     assert_eq!(Settings::default().position(), Position::default());
 }
 
+/// What those who use the settings want of them, by their own checks and not by the walk's.
+fn usable(settings: &Settings) -> bool {
+    let position = |p: &Position| nav::earth::Earth::new(p.latitude, p.height).is_ok();
+    let Mounting { heading, pitch, roll } = settings.installation.mounting;
+    let config = rotor::Config {
+        encoder_zero: settings.encoder.zero,
+        schedule: settings.motion,
+        motor: rotor::MotorConfig {
+            electrical_offset: settings.encoder.electrical_offset,
+            ..rotor::MotorConfig::default()
+        },
+        ..rotor::Config::default()
+    };
+    let calibrated = settings.imu.calibration.is_none_or(|c| {
+        let column = c.k_xz.abs().max(c.k_yz.abs()).max(c.s_z.abs());
+        c.bias_s.norm() < 0.2 && column < 0.1 && c.bias_sd >= 0.0 && c.column_sd >= 0.0 && c.scatter.is_finite()
+    });
+    let rows = settings.thermal.rows.get(..usize::from(settings.thermal.used));
+    position(&settings.installation.position)
+        && position(&settings.last_position)
+        && [heading, pitch, roll].iter().all(|angle| angle.abs() < 3.2)
+        && config.validate().is_ok()
+        && settings.output.period_ms >= 50
+        && settings.output.write_ms < 1001
+        && settings.output.estimated_sd >= 0.0
+        && settings.output.rate_tau >= 0.0
+        && calibrated
+        && rows.is_some_and(|rows| rows.is_sorted_by(|a, b| a.temperature_c < b.temperature_c))
+        && (-99..199).all(|t| settings.thermal.bias_s(t as f32).norm() < 0.2)
+        && core::str::from_utf8(&settings.identity.name).is_ok_and(str::is_ascii)
+}
+
 proptest! {
     /// Whatever a record holds: no panic, and only values that pass.
     #[test]
@@ -293,7 +325,10 @@ proptest! {
         let group = Group::ALL[group];
         let mut settings = unusual();
         match settings.decode(group, version, &mut bytes) {
-            Ok(()) => prop_assert_eq!(settings.validate(group), Ok(())),
+            Ok(()) => {
+                prop_assert!(usable(&settings), "{:?}", settings);
+                prop_assert_eq!(settings.validate(group), Ok(()));
+            }
             Err(_) => prop_assert_eq!(settings, unusual()),
         }
     }
@@ -310,7 +345,10 @@ proptest! {
         }
         let mut settings = unusual();
         match settings.decode(group, group.version(), &mut bytes[..length]) {
-            Ok(()) => prop_assert_eq!(settings.validate(group), Ok(())),
+            Ok(()) => {
+                prop_assert!(usable(&settings), "{:?}", settings);
+                prop_assert_eq!(settings.validate(group), Ok(()));
+            }
             Err(_) => prop_assert_eq!(settings, unusual()),
         }
     }
