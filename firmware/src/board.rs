@@ -46,7 +46,7 @@ use embassy_stm32::timer::Channel;
 use embassy_stm32::timer::complementary_pwm::{BreakInputPolarity, ComplementaryPwm, Ossi};
 use embassy_stm32::timer::low_level::CountingMode;
 use embassy_stm32::timer::simple_pwm::PwmPin;
-use embassy_stm32::usart::{self, Uart, UartRx, UartTx};
+use embassy_stm32::usart::{self, RingBufferedUartRx, Uart, UartTx};
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Config, Peri, Peripherals, bind_interrupts, dma, interrupt, pac, peripherals};
 use embassy_sync::blocking_mutex::Mutex;
@@ -55,6 +55,7 @@ use embassy_sync::waitqueue::AtomicWaker;
 use embassy_time::{Delay, Instant, Timer};
 use embedded_hal::delay::DelayNs as _;
 use embedded_hal_async::spi::{ErrorType, Operation, SpiBus, SpiDevice};
+use static_cell::StaticCell;
 
 /// Clock of the core, Hz.
 const CORE_HZ: u32 = 168_000_000;
@@ -68,6 +69,10 @@ const BAUD: u32 = 115_200;
 pub const WATCHDOG_US: u32 = 500_000;
 /// Delays within a bus transaction up to this length are waited for where they stand, ns: an alarm would take as long.
 const SPIN_NS: u32 = 20_000;
+
+/// Bytes that may come while nobody reads: 22 ms, and eight whole commands.
+const RECEIVE: usize = 256;
+static RECEIVED: StaticCell<[u8; RECEIVE]> = StaticCell::new();
 
 /// The resources of the unit: each is named once, here, and handed out by type.
 macro_rules! resources {
@@ -111,6 +116,7 @@ resources! {
         home_above: PF14 = "GPIO in",
         serial_tx: PD5 = "USART2 TX",
         serial_rx: PD6 = "USART2 RX",
+        held_low: PA12 = "GPIO out",
     }
     units {
         imu_spi: SPI1,
@@ -142,8 +148,10 @@ bind_interrupts!(struct Irqs {
 
 /// The serial port's transmitter, by DMA.
 pub type SerialTx = UartTx<'static, Async>;
-/// The serial port's receiver, by DMA.
-pub type SerialRx = UartRx<'static, Async>;
+/// The serial port's receiver: DMA fills a ring while nobody reads.
+pub type SerialRx = RingBufferedUartRx<'static>;
+/// The flash of the settings.
+pub type SettingsFlash = Bank2Region1<'static, flash::Async>;
 
 /// A board that is up: clocks run, the motor is off.
 pub struct Board {
@@ -164,13 +172,11 @@ pub struct Board {
     /// The serial port: NMEA 0183 out.
     pub serial_tx: SerialTx,
     /// The serial port: commands in.
-    #[expect(dead_code, reason = "set up for the commands, which are not written yet")]
     pub serial_rx: SerialRx,
     /// The watchdog, not started yet.
     pub watchdog: Iwdg,
     /// The flash of the settings.
-    #[expect(dead_code, reason = "set up for the settings store, which is not written yet")]
-    pub settings: Bank2Region1<'static, flash::Async>,
+    pub settings: SettingsFlash,
 }
 
 impl Board {
@@ -180,6 +186,7 @@ impl Board {
         fast_flash();
         priorities();
 
+        hold_low(pins.held_low);
         let mut bus = spi::Config::default();
         bus.mode = spi::MODE_3;
         bus.frequency = Hertz(SPI_HZ);
@@ -265,7 +272,7 @@ impl Board {
                 above: Input::new(pins.home_above, Pull::Down),
             },
             serial_tx,
-            serial_rx,
+            serial_rx: serial_rx.into_ring_buffered(RECEIVED.init([0; RECEIVE])),
             watchdog: Iwdg(IndependentWatchdog::new(units.watchdog, WATCHDOG_US)),
             settings: Flash::new(units.flash, Irqs).into_regions().bank2_region1,
         }
@@ -301,6 +308,15 @@ fn fast_flash() {
         w.set_icen(true);
         w.set_dcen(true);
     });
+}
+
+/// Before revision 3 of the part, levels on this pin spoil what is read from bank 2 (erratum 2.2.11): it is held low.
+fn hold_low(pin: Peri<'static, pin::held_low>) {
+    // The output stays when its owner goes, which is for good.
+    mem::forget(Output::new(pin, Level::Low, Speed::Low));
+    pac::GPIOA
+        .pupdr()
+        .modify(|w| w.set_pupdr(12, pac::gpio::vals::Pupdr::PULL_DOWN));
 }
 
 fn priorities() {

@@ -22,5 +22,5 @@ use embassy_executor::Spawner;
 async fn main(spawner: Spawner) {
     let board = Board::start();
     defmt::info!("started by {}", board.reset_cause);
-    tasks::start(spawner, board);
+    tasks::start(spawner, board).await;
 }

@@ -1,27 +1,20 @@
 //! The unit's parameters, all in one place. SI and radians; degrees and the like are converted here.
 //!
-//! What a unit's calibration finds (electrical offset, encoder zero and table, IMU) belongs into the settings; what
-//! stands here is what the unit is built from, and what holds until the settings say otherwise.
+//! What stands here is what the unit is built from, and what holds until the settings say otherwise: see
+//! [`app::settings`].
 
 use app::alignment::AlignmentConfig;
-use app::motor::HARMONICS;
-use app::output::OutputConfig;
 use app::rotor::{self, CalibrationConfig, ControlConfig, HomeSwitch, Homing, Limits, MotorConfig, PhaseOrder};
 use app::sampling::SamplingConfig;
 use app::selftest::InspectionConfig;
+use app::settings::{Position, Settings};
 use app::supervisor::SupervisorConfig;
-use drivers::harmonics::Harmonics;
 use drivers::mt6835;
 use frames::units::{DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ};
 use nav::aligner::AlignerConfig;
 use nav::fine::{FilterConfig, Method};
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
-
-/// Geodetic latitude, north positive, rad. 0.1° is enough; a wrong one shows as tilt and, at tan φ, in heading.
-const LATITUDE: f32 = (40.0 * DEG) as f32;
-/// Height above the ellipsoid, m.
-const HEIGHT: f32 = 0.0;
 
 /// The reciprocation: \[Xing18\] §3.2.
 const SCHEDULE: RotorConfig = RotorConfig {
@@ -45,11 +38,18 @@ const MOTOR: MotorConfig = MotorConfig {
     electrical_offset: None,
 };
 
-/// The rotor.
+/// The settings of a unit that nobody has set. The place is only a beginning: `set latitude`.
+pub fn factory() -> Settings {
+    Settings {
+        motion: SCHEDULE,
+        ..Settings::default()
+    }
+}
+
+/// The rotor as it is built; the settings have encoder and reciprocation.
 pub fn rotor() -> rotor::Config {
     rotor::Config {
         dt_us: 1000,
-        encoder_zero: 0.0, // rad
         schedule: SCHEDULE,
         motor: MOTOR,
         control: ControlConfig::default(),
@@ -57,6 +57,7 @@ pub fn rotor() -> rotor::Config {
         homing: Homing::HomeSwitch(HomeSwitch::default()),
         limits: Limits::default(),
         calibration: CalibrationConfig::default(),
+        ..rotor::Config::default()
     }
 }
 
@@ -66,11 +67,6 @@ pub const ENCODER: mt6835::Config = mt6835::Config {
     hysteresis: 4,
     reversed: false,
 };
-
-/// The encoder's correction: none until the unit is calibrated.
-pub fn correction() -> Harmonics<HARMONICS> {
-    Harmonics::default()
-}
 
 /// The IMU's settings: 202.4 samples a second, each the mean of 21.
 #[cfg(not(feature = "icm42688"))]
@@ -103,7 +99,7 @@ pub fn sampling() -> SamplingConfig {
 }
 
 /// The aligner. The IMU's figures are those of \[Xing18\] Table 2; an Allan plot of the part fitted is better.
-pub fn aligner() -> AlignerConfig {
+pub fn aligner(settings: &Settings) -> AlignerConfig {
     let filter = FilterConfig {
         noise: ImuNoise {
             gyro_bias_sd: (10.0 * DEG_PER_HOUR) as f32,
@@ -118,23 +114,16 @@ pub fn aligner() -> AlignerConfig {
         method: Method::strong_tracking(),
         ..FilterConfig::default()
     };
-    AlignerConfig::for_rotor(LATITUDE, HEIGHT, &SCHEDULE, filter)
+    let Position { latitude, height, .. } = settings.position();
+    AlignerConfig::for_rotor(latitude, height, &settings.motion, filter)
 }
 
-/// What the alignment does besides aligning.
-pub fn alignment() -> AlignmentConfig {
-    AlignmentConfig {
-        publish_every: 10, // samples: 20 estimates a second
-        inspection: InspectionConfig::default(),
-    }
+/// What the alignment does besides aligning: 20 estimates a second, calibration, navigation.
+pub fn alignment(settings: &Settings) -> AlignmentConfig {
+    AlignmentConfig::for_aligner(&aligner(settings), &settings.motion, InspectionConfig::default())
 }
 
 /// Supervision.
 pub fn supervisor() -> SupervisorConfig {
     SupervisorConfig::default()
-}
-
-/// The serial line's output.
-pub fn output() -> OutputConfig {
-    OutputConfig::default()
 }

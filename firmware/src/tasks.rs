@@ -6,17 +6,21 @@
 //! thread                  alignment    up to 11 ms a step while it catches up
 //!                         supervisor   200 Hz: modes, faults, watchdog
 //!                         output       10 Hz: NMEA 0183 to the serial port
+//!                         console      commands from it, settings to flash
 //!                         report       1 Hz: the estimate to the log
 //! ```
 //!
 //! The sampling must not wait for the alignment: 11 ms are two samples, and the IMU keeps only the last one.
 
+use app::alignment::AlignmentConfig;
 use app::hal::{ChangeOver, MagneticEncoder};
-use app::motor::Drive;
-use app::output::Port;
+use app::motor::{Drive, HARMONICS};
+use app::output::{OutputConfig, Port};
 use app::rotor::Rotor;
+use app::settings::{Settings, Store};
 use app::shared::Shared;
-use app::{alignment, motor, output, sampling, supervisor};
+use app::{alignment, console, motor, output, sampling, supervisor};
+use drivers::harmonics::Harmonics;
 use drivers::mt6835::Mt6835;
 use embassy_executor::Spawner;
 use embassy_stm32::gpio::{Flex, Input, Output};
@@ -26,7 +30,7 @@ use frames::units::DEG;
 use nav::aligner::Aligner;
 use static_cell::StaticCell;
 
-use crate::board::{self, Board, Bridge, DataReady, Device, Iwdg, MotorCutoff, SerialTx};
+use crate::board::{self, Board, Bridge, DataReady, Device, Iwdg, MotorCutoff, SerialRx, SerialTx, SettingsFlash};
 use crate::params;
 
 #[cfg(not(feature = "icm42688"))]
@@ -46,8 +50,13 @@ static ROTOR: StaticCell<Rotor> = StaticCell::new();
 static ALIGNER: StaticCell<Aligner> = StaticCell::new();
 
 /// Starts every task. Panics where the parameters are refused: nothing has moved then.
-pub fn start(spawner: Spawner, mut board: Board) {
-    let (shared, rotor, aligner) = (shared(), rotor(), aligner());
+pub async fn start(spawner: Spawner, mut board: Board) {
+    let mut store = Store::new(board.settings);
+    let (settings, report) = store.load_over(params::factory()).await;
+    for (group, origin) in report.wanting() {
+        defmt::warn!("settings: {} {}", group, origin);
+    }
+    let (shared, aligner) = (shared(settings), aligner(&settings));
     let encoder = MagneticEncoder {
         driver: Mt6835::new(board.encoder),
         config: params::ENCODER,
@@ -60,13 +69,14 @@ pub fn start(spawner: Spawner, mut board: Board) {
     let imu = Imu::new(board.imu, Delay);
 
     board.watchdog.start();
-    let (Ok(motor), Ok(sampling), Ok(alignment), Ok(supervisor), Ok(output), Ok(report)) = (
-        motor(shared, encoder, drive, rotor),
+    let (Ok(motor), Ok(sampling), Ok(alignment), Ok(supervisor), Ok(output), Ok(console), Ok(report)) = (
+        motor(shared, encoder, drive, rotor(&settings), settings.encoder.correction),
         sampling(shared, imu, board.imu_ready),
-        alignment(shared, aligner),
+        alignment(shared, aligner, params::alignment(&settings)),
         supervisor(shared, board.watchdog),
-        output(shared, board.serial_tx),
-        report(shared),
+        output(shared, board.serial_tx, settings.output),
+        console(shared, board.serial_rx, store),
+        self::report(shared),
     ) else {
         defmt::unreachable!("each task is spawned once")
     };
@@ -75,33 +85,41 @@ pub fn start(spawner: Spawner, mut board: Board) {
     spawner.spawn(alignment);
     spawner.spawn(supervisor);
     spawner.spawn(output);
+    spawner.spawn(console);
     spawner.spawn(report);
 }
 
 #[inline(never)]
-fn shared() -> &'static Bus {
-    SHARED.init_with(Shared::new)
+fn shared(settings: Settings) -> &'static Bus {
+    SHARED.init_with(|| Shared::new(settings))
 }
 
-fn rotor() -> &'static mut Rotor {
-    ROTOR.init_with(|| match Rotor::new(params::rotor()) {
-        Ok(rotor) => rotor,
-        Err(_) => defmt::panic!("params.rs: the rotor's figures are refused"),
-    })
+fn rotor(settings: &Settings) -> &'static mut Rotor {
+    let built = params::rotor();
+    ROTOR.init_with(
+        || match Rotor::new(settings.rotor(built)).or_else(|_| Rotor::new(built)) {
+            Ok(rotor) => rotor,
+            Err(_) => defmt::panic!("params.rs: the rotor's figures are refused"),
+        },
+    )
 }
 
-// Alone, because it needs up to twice the aligner's 34 kB of stack where the compiler does not build it in place.
-#[inline(never)]
-fn aligner() -> &'static mut Aligner {
-    ALIGNER.init_with(|| match Aligner::new(params::aligner()) {
+fn aligner(settings: &Settings) -> &'static mut Aligner {
+    match Aligner::place(ALIGNER.uninit(), params::aligner(settings)) {
         Ok(aligner) => aligner,
         Err(_) => defmt::panic!("params.rs: the aligner's figures are refused"),
-    })
+    }
 }
 
 #[embassy_executor::task]
-async fn motor(shared: &'static Bus, encoder: Encoder, drive: Motor, rotor: &'static mut Rotor) -> ! {
-    motor::run(shared, encoder, drive, rotor, params::correction()).await
+async fn motor(
+    shared: &'static Bus,
+    encoder: Encoder,
+    drive: Motor,
+    rotor: &'static mut Rotor,
+    correction: Harmonics<HARMONICS>,
+) -> ! {
+    motor::run(shared, encoder, drive, rotor, correction).await
 }
 
 #[embassy_executor::task]
@@ -110,8 +128,8 @@ async fn sampling(shared: &'static Bus, imu: Imu, edges: DataReady) -> ! {
 }
 
 #[embassy_executor::task]
-async fn alignment(shared: &'static Bus, aligner: &'static mut Aligner) -> ! {
-    alignment::run(shared, aligner.as_align(), params::alignment()).await
+async fn alignment(shared: &'static Bus, aligner: &'static mut Aligner, config: AlignmentConfig) -> ! {
+    alignment::run(shared, aligner.as_align(), config).await
 }
 
 #[embassy_executor::task]
@@ -120,8 +138,13 @@ async fn supervisor(shared: &'static Bus, watchdog: Iwdg) -> ! {
 }
 
 #[embassy_executor::task]
-async fn output(shared: &'static Bus, tx: SerialTx) -> ! {
-    output::run(shared, &PORT, tx, params::output()).await
+async fn output(shared: &'static Bus, tx: SerialTx, config: OutputConfig) -> ! {
+    output::run(shared, &PORT, tx, config).await
+}
+
+#[embassy_executor::task]
+async fn console(shared: &'static Bus, rx: SerialRx, store: Store<SettingsFlash>) -> ! {
+    console::run(shared, &PORT, rx, store).await
 }
 
 /// The estimate, once a second, for whoever reads the log and not the serial port.

@@ -22,7 +22,7 @@ use hal_sim::reproduce;
 use hal_sim::scenario::Scenario;
 use hal_sim::simulate::{self, Moment, Row, RunResult};
 use hal_sim::unit::Unit;
-use hal_sim::unit_sim::{self, Line, UnitResult};
+use hal_sim::unit_sim::{self, Drift, Line, Typed, UnitResult};
 use indicatif::{ProgressBar, ProgressStyle};
 use nav::aligner::Event;
 use nav::rotor::RotorConfig;
@@ -150,6 +150,9 @@ struct UnitArgs {
     /// Write what the unit's serial port sends: NMEA 0183
     #[arg(long, value_name = "FILE")]
     nmea: Option<PathBuf>,
+    /// Type a line to the unit at a time, s since power-up: "200 calibrate"; may be given again
+    #[arg(long = "type", value_name = "\"T LINE\"")]
+    typed: Vec<Typed>,
     /// Print the result as JSON, and the log to stderr
     #[arg(long)]
     json: bool,
@@ -424,7 +427,7 @@ fn run(args: &RunArgs, quiet: bool) -> Done {
 }
 
 fn exit(state: &str) -> ExitCode {
-    if state == "aligned" {
+    if matches!(state, "aligned" | "navigating") {
         ExitCode::SUCCESS
     } else {
         ExitCode::from(NOT_ALIGNED)
@@ -855,6 +858,18 @@ impl unit_sim::Observer for UnitObserver {
         if let Some(file) = &mut self.nmea {
             self.problem = file.put(&line.bytes).err().or(self.problem.take());
         }
+        // Answers to what was typed belong to the log.
+        if line.bytes.starts_with(b"$PRNSA,") {
+            let text = String::from_utf8_lossy(&line.bytes).trim_end().to_owned();
+            unit_sim::Observer::line(
+                self,
+                &Line {
+                    t_us: line.ended_ns / 1000,
+                    level: log::Level::Info,
+                    text,
+                },
+            );
+        }
     }
 
     fn line(&mut self, line: &Line) {
@@ -893,7 +908,8 @@ fn unit(args: &UnitArgs, quiet: bool) -> Done {
         problem: None,
     };
     let begun = std::time::Instant::now();
-    let result = unit_sim::run(&scenario, args.simulated.seed, args.method, &mut observer).map_err(words)?;
+    let seed = args.simulated.seed;
+    let result = unit_sim::run_session(&scenario, seed, args.method, &args.typed, &mut observer).map_err(words)?;
     observer.bar.finish_and_clear();
     if let Some(problem) = observer.problem {
         return Err(problem);
@@ -949,6 +965,14 @@ fn unit_table(result: &UnitResult) -> String {
     }
     let Some(last) = &result.last else { return text };
     text += &attitude_table(&last.truth, &last.reading.attitude, &last.error, &last.reading.sd);
+    if let Some(Drift {
+        speed_m_s,
+        east_m,
+        north_m,
+    }) = last.track
+    {
+        text += &format!("navigated to {east_m:+.1} m east, {north_m:+.1} m north, at {speed_m_s:.2} m/s\n");
+    }
     text
 }
 

@@ -390,11 +390,12 @@ fn origin(report: &Report, group: Group) -> Origin {
     report.origins[usize::from(group.key())]
 }
 
-/// Installation of version 1: latitude, height, source. It had no mounting.
+/// Installation of version 1: latitude, longitude, height, source. It had no mounting.
 #[test]
 fn an_installation_of_version_1_is_migrated() {
     let mut old = vec![1];
     old.extend(0.83_f32.to_le_bytes());
+    old.extend(0.2_f32.to_le_bytes());
     old.extend(120.0_f32.to_le_bytes());
     old.push(1);
     let flash = Flash::with_bytes(&record(1, 5, &old), 0);
@@ -403,8 +404,8 @@ fn an_installation_of_version_1_is_migrated() {
     assert_eq!(origin(&report, Group::Installation), Origin::Migrated { from: 1 });
     let position = settings.installation.position;
     assert_eq!(
-        (position.latitude, position.height, position.source),
-        (0.83, 120.0, Source::Operator)
+        (position.latitude, position.longitude, position.height, position.source),
+        (0.83, 0.2, 120.0, Source::Operator)
     );
     assert_eq!(settings.installation.mounting, Mounting::default());
     assert_eq!(report.wanting().count(), 0);
@@ -729,9 +730,12 @@ fn the_records_are_those_of_postcard() {
     s.encoder.electrical_offset = Some(1.0);
     let identity: (Wide, [u8; 16]) = postcard::from_bytes(&body(&s, Group::Identity)).unwrap();
     assert_eq!(identity, (Wide(s.identity.serial), s.identity.name));
-    let installation: (f32, f32, u8, F3) = postcard::from_bytes(&body(&s, Group::Installation)).unwrap();
+    let installation: (F3, u8, F3) = postcard::from_bytes(&body(&s, Group::Installation)).unwrap();
     let (p, m) = (s.installation.position, s.installation.mounting);
-    assert_eq!(installation, (p.latitude, p.height, 1, (m.heading, m.pitch, m.roll)));
+    assert_eq!(
+        installation,
+        ((p.latitude, p.longitude, p.height), 1, (m.heading, m.pitch, m.roll))
+    );
     let output: (Wide, Wide, Wide, Wide, f32, f32) = postcard::from_bytes(&body(&s, Group::Output)).unwrap();
     assert_eq!(output.0, Wide(s.output.period_ms));
     assert_eq!(output.5, s.output.rate_tau);

@@ -726,19 +726,8 @@ fn level(high: bool) -> Level {
 
 /// The mode that a line of the log tells of, `Mode { from: A, to: B }`.
 fn mode(text: &str) -> Option<&'static str> {
-    use ModeName as M;
     let to = text.strip_prefix("Mode { ")?.split("to: ").nth(1)?.strip_suffix(" }")?;
-    let modes = [
-        M::Idle,
-        M::SelfTest,
-        M::Homing,
-        M::Calibrating,
-        M::Coarse,
-        M::Fine,
-        M::Aligned,
-        M::Fault,
-    ];
-    modes
+    ModeName::ALL
         .into_iter()
         .find(|mode| format!("{mode:?}") == to)
         .map(ModeName::as_str)

@@ -30,6 +30,7 @@ use std::rc::Rc;
 
 use app::alignment::{self, AlignmentConfig};
 use app::command::ModeName;
+use app::console;
 use app::fault::{Fault, Task};
 use app::hal::{ChangeOver, Edge, EdgeCapture, MagneticEncoder, ResetCause};
 use app::mode::Status;
@@ -38,6 +39,7 @@ use app::output::{self, OutputConfig, Port};
 use app::rotor::{self, HomeSwitch, Homing, Rotor};
 use app::sampling::{self, SamplingConfig};
 use app::selftest::InspectionConfig;
+use app::settings::{self, Settings, Store};
 use app::shared::{Navigation, SampleCounts, Shared};
 use app::supervisor::{self, SupervisorConfig};
 use drivers::adis16495;
@@ -49,7 +51,9 @@ use embassy_time::{Delay, Duration, Instant};
 use frames::units::DEG_PER_HOUR;
 use nav::aligner::{Aligner, AlignerConfig, AlignerError};
 use nav::increment::Sample;
+use nav::mechanization::Radii;
 use nav::model::{PAPER, ROBUST};
+use nav::navigator::Track;
 use serde::Serialize;
 use vtime::{Executor, Failure, Level, LocalRawMutex, TaskId, now_ns, sleep_until_ns};
 
@@ -150,6 +154,19 @@ pub struct UnitMoment {
     pub truth: Angles,
     /// `reading − truth`.
     pub error: Angles,
+    /// Where it has navigated to.
+    pub track: Option<Drift>,
+}
+
+/// What navigation has come to on a base that stays about where it is.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Drift {
+    /// Speed over ground, m/s.
+    pub speed_m_s: f64,
+    /// East and north of the place of the alignment, m.
+    pub east_m: f64,
+    /// See `east_m`.
+    pub north_m: f64,
 }
 
 /// What became of the samples.
@@ -204,8 +221,39 @@ pub struct UnitResult {
     /// The same by the core alone, on the same motion and sensor errors without devices, buses and tasks: exact times,
     /// no sample lost, true rotor angle.
     pub core: Option<UnitMoment>,
+    /// The settings it ran on at its end.
+    #[serde(skip)]
+    pub settings: Settings,
     /// Hash of everything that happened on tasks and wires.
     pub trace: u64,
+}
+
+/// A line that someone types to the unit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Typed {
+    /// When, s since power-up.
+    pub at_s: f64,
+    /// The line without its end.
+    pub text: String,
+}
+
+impl core::str::FromStr for Typed {
+    type Err = String;
+
+    /// Of a time, s, a blank, and the line: `12.5 set latitude 40.1`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (at, line) = text.trim().split_once(' ').unwrap_or((text, ""));
+        let at_s = at
+            .parse()
+            .ok()
+            .filter(|at: &f64| at.is_finite() && (0.0..1e9).contains(at));
+        let at_s =
+            at_s.ok_or_else(|| format!("expected seconds and a line, as in \"12.5 set latitude 40.1\", not {text:?}"))?;
+        Ok(Self {
+            at_s,
+            text: line.trim().to_owned(),
+        })
+    }
 }
 
 /// What a run is told while it goes.
@@ -245,6 +293,7 @@ impl<const B: usize> Core<B> {
                 mode: self.aligner.mode(),
                 estimate: self.aligner.estimate(),
                 not_ready: None,
+                track: None,
             });
         }
     }
@@ -303,7 +352,6 @@ struct Bench<const B: usize> {
     lost: Rc<Cell<LostEdges>>,
     timer: RefCell<Option<PwmSink>>,
     rotor: rotor::Config,
-    correction: Harmonics<HARMONICS>,
     aligner: AlignerConfig<f32, B>,
     alignment: AlignmentConfig,
     sampling: SamplingConfig,
@@ -311,6 +359,10 @@ struct Bench<const B: usize> {
     shared: Rc<RefCell<Rc<Bus>>>,
     reset: Rc<Cell<Option<ResetCause>>>,
     record: Rc<RefCell<Record>>,
+    flash: device::flash::Flash,
+    /// What the unit was built with: holds where its flash says nothing else.
+    factory: Settings,
+    typed: Vec<Typed>,
     seed: u64,
 }
 
@@ -350,9 +402,23 @@ pub fn run(
     method: Method,
     observer: &mut dyn Observer,
 ) -> Result<UnitResult, UnitError> {
+    run_session(scenario, seed, method, &[], observer)
+}
+
+/// The same while someone types, in any order of lines; one that is typed before the one ahead of it has gone waits.
+///
+/// # Errors
+/// [`UnitError`] where the scenario is no unit's, or the program hangs.
+pub fn run_session(
+    scenario: &Scenario,
+    seed: u64,
+    method: Method,
+    typed: &[Typed],
+    observer: &mut dyn Observer,
+) -> Result<UnitResult, UnitError> {
     match method {
-        Method::Kf | Method::Stf => run_with::<PAPER>(scenario, seed, method, observer),
-        Method::Robust | Method::RobustKf => run_with::<ROBUST>(scenario, seed, method, observer),
+        Method::Kf | Method::Stf => run_with::<PAPER>(scenario, seed, method, typed, observer),
+        Method::Robust | Method::RobustKf => run_with::<ROBUST>(scenario, seed, method, typed, observer),
     }
 }
 
@@ -360,10 +426,11 @@ fn run_with<const B: usize>(
     scenario: &Scenario,
     seed: u64,
     method: Method,
+    typed: &[Typed],
     observer: &mut dyn Observer,
 ) -> Result<UnitResult, UnitError> {
     let truth = Rc::new(Truth::new(scenario, seed)?);
-    let bench = Rc::new(bench::<B>(scenario, seed, method, &truth)?);
+    let bench = Rc::new(bench::<B>(scenario, seed, method, typed, &truth)?);
     let record = Rc::clone(&bench.record);
     let lines = Rc::clone(&record);
     let _recording = Recording::to(Box::new(move |line| lines.borrow_mut().lines.push(line)));
@@ -421,8 +488,12 @@ fn run_with<const B: usize>(
     let trace = executor.trace();
     let t_s = executor.now().as_micros() as f64 * 1e-6;
     let record = record.borrow();
-    let last = record.last.and_then(|navigation| moment(&navigation, &truth));
-    let core = core.borrow().last.and_then(|navigation| moment(&navigation, &truth));
+    let start = bench.shared.borrow().settings().position();
+    let last = record.last.and_then(|navigation| moment(&navigation, &truth, &start));
+    let core = core
+        .borrow()
+        .last
+        .and_then(|navigation| moment(&navigation, &truth, &start));
     let mode = record.modes.last().map_or("idle", |at| at.mode);
     Ok(UnitResult {
         scenario: scenario.name.clone(),
@@ -447,11 +518,12 @@ fn run_with<const B: usize>(
         wound_past: bench.world.now(|physics| physics.plant.wound_past()),
         last,
         core,
+        settings: bench.shared.borrow().settings(),
         trace,
     })
 }
 
-fn moment(navigation: &Navigation, truth: &Truth) -> Option<UnitMoment> {
+fn moment(navigation: &Navigation, truth: &Truth, start: &settings::Position) -> Option<UnitMoment> {
     let reading = Reading::from_estimate(navigation.estimate.as_ref()?);
     let t_s = navigation.t_us as f64 * 1e-6;
     let truth = Angles::from_attitude(&truth.attitude(t_s));
@@ -460,11 +532,30 @@ fn moment(navigation: &Navigation, truth: &Truth) -> Option<UnitMoment> {
         reading,
         truth,
         error: reading.attitude.minus(&truth),
+        track: navigation.track.map(|track| drift(&track, start)),
     })
 }
 
+fn drift(track: &Track, start: &settings::Position) -> Drift {
+    let (sin, cos) = f64::from(start.latitude).sin_cos();
+    let radii = Radii::<f64>::new(sin);
+    let way = |to: f32, from: f32| f64::from(to) - f64::from(from);
+    let (east, north) = (f64::from(track.v_n.x()), f64::from(track.v_n.y()));
+    Drift {
+        speed_m_s: east.hypot(north),
+        east_m: way(track.position.longitude, start.longitude) * cos * radii.prime_vertical,
+        north_m: way(track.position.latitude, start.latitude) * radii.meridian,
+    }
+}
+
 /// What a unit in this scenario is made of and told.
-fn bench<const B: usize>(scenario: &Scenario, seed: u64, method: Method, truth: &Truth) -> Result<Bench<B>, UnitError> {
+fn bench<const B: usize>(
+    scenario: &Scenario,
+    seed: u64,
+    method: Method,
+    typed: &[Typed],
+    truth: &Truth,
+) -> Result<Bench<B>, UnitError> {
     let made = Made::new(scenario, seed);
     let (plant, edge) = (&made.plant, made.plant.home_edge);
     let schedule = Setup::of(scenario, method).rotor;
@@ -507,6 +598,26 @@ fn bench<const B: usize>(scenario: &Scenario, seed: u64, method: Method, truth: 
     let setup = Setup::of(scenario, method);
     let aligner = setup.config::<f32, B>();
     Aligner::<f32, B>::new(aligner).map_err(UnitError::Aligner)?;
+    let factory = Settings {
+        installation: settings::Installation {
+            position: settings::Position {
+                latitude: aligner.latitude,
+                longitude: 0.0,
+                height: aligner.height,
+                source: settings::Source::Operator,
+            },
+            ..settings::Installation::default()
+        },
+        motion: rotor.schedule,
+        encoder: settings::Encoder {
+            zero: rotor.encoder_zero,
+            electrical_offset: None,
+            correction: Harmonics::new(rows).unwrap_or_default(),
+        },
+        ..Settings::default()
+    };
+    let mut typed = typed.to_vec();
+    typed.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
     // Earth's rate and 5σ of the biases of three gyros.
     let rest_rate = (15.04 + 5.0 * 3.0_f64.sqrt() * setup.unit.gyro_bias_sd_deg_h) * DEG_PER_HOUR;
     Ok(Bench {
@@ -517,22 +628,25 @@ fn bench<const B: usize>(scenario: &Scenario, seed: u64, method: Method, truth: 
         lost: Rc::default(),
         timer: RefCell::new(Some(timer)),
         rotor,
-        correction: Harmonics::new(rows).unwrap_or_default(),
         aligner,
-        alignment: AlignmentConfig {
-            inspection: InspectionConfig {
+        alignment: AlignmentConfig::for_aligner(
+            &aligner,
+            &rotor.schedule,
+            InspectionConfig {
                 gravity: truth.gravity() as f32,
                 rest_rate_max: rest_rate as f32,
                 ..InspectionConfig::default()
             },
-            ..AlignmentConfig::default()
-        },
+        ),
         sampling: SamplingConfig {
             edge_delay_us: scenario.buses.edge_delay_us.round() as u32,
             ..SamplingConfig::default()
         },
         tasks: Rc::default(),
-        shared: Rc::new(RefCell::new(Rc::new(Shared::new()))),
+        shared: Rc::new(RefCell::new(Rc::new(Shared::new(factory)))),
+        flash: device::flash::Flash::new(seed).awaited(),
+        factory,
+        typed,
         reset: Rc::default(),
         record: Rc::default(),
         seed,
@@ -651,7 +765,10 @@ impl<const B: usize> Breakable for Rc<Bench<B>> {
 
 /// Starts the unit's program.
 fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>) -> Result<(), UnitError> {
-    let shared = Rc::new(Bus::new());
+    let mut store = Store::new(bench.flash.clone());
+    // Reading takes the part no time.
+    let (settings, _) = embassy_futures::block_on(store.load_over(bench.factory));
+    let shared = Rc::new(Bus::new(settings));
     *bench.shared.borrow_mut() = Rc::clone(&shared);
     let timing = |hz| SpiTiming {
         latency_ns: DMA_LATENCY_NS,
@@ -676,10 +793,10 @@ fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>) -> Re
         config: mt6835::Config::default(),
     };
     let (enable, n_fault, below, above) = bench.world.pins();
-    let mut control = Box::new(Rotor::new(bench.rotor).map_err(UnitError::Rotor)?);
+    let mut control = Box::new(Rotor::new(settings.rotor(bench.rotor)).map_err(UnitError::Rotor)?);
     let timer = bench.timer.borrow_mut().take();
     let pwm = Timer(Rc::clone(bench), timer);
-    let (correction, s) = (bench.correction, Rc::clone(&shared));
+    let (correction, s) = (settings.encoder.correction, Rc::clone(&shared));
     let motor = executor.spawn("motor", Level::Interrupt, async move {
         // The pins of the simulator cannot fail.
         if let Ok(driver) = MotorDriver::new(enable, n_fault) {
@@ -721,27 +838,62 @@ fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>) -> Re
     });
     // By the index of the task, then the others.
     let mut tasks = vec![sampling, motor, alignment, supervisor, recorder];
-    tasks.extend(serial(executor, bench));
+    tasks.extend(serial(executor, bench, store, settings.output));
     *bench.tasks.borrow_mut() = tasks;
     Ok(())
 }
 
 /// Starts the unit's serial port and the other end of its line. What is on the way at a reset is lost.
-fn serial<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>) -> [TaskId; 2] {
+fn serial<const B: usize>(
+    executor: &mut Executor<'_>,
+    bench: &Rc<Bench<B>>,
+    store: Store<device::flash::Flash>,
+    config: OutputConfig,
+) -> [TaskId; 3] {
     let shared = Rc::clone(&bench.shared.borrow());
-    let (_, tx, mut host) = uart(UartConfig::default(), stream(bench.seed, Stream::Serial));
-    let output = executor.spawn("output", Level::Thread, async move {
-        output::run(&shared, &Port::new(), tx, OutputConfig::default()).await
-    });
+    let port = Rc::new(Port::new());
+    let (rx, tx, mut host) = uart(UartConfig::default(), stream(bench.seed, Stream::Serial));
+    let (s, p) = (Rc::clone(&shared), Rc::clone(&port));
+    let output = executor.spawn(
+        "output",
+        Level::Thread,
+        async move { output::run(&s, &p, tx, config).await },
+    );
     output.set_cost(Duration::from_micros(50));
+    let console = executor.spawn("console", Level::Thread, async move {
+        console::run(&shared, &port, rx, store).await
+    });
+    console.set_cost(Duration::from_micros(20));
+
+    let now_s = now_ns() as f64 * 1e-9;
+    let typed: Vec<Typed> = bench
+        .typed
+        .iter()
+        .filter(|typed| typed.at_s >= now_s)
+        .cloned()
+        .collect();
     let record = Rc::clone(&bench.record);
     let host = executor.spawn("host", Level::World, async move {
+        let mut typed = typed.into_iter().peekable();
         loop {
-            let line = host.line().await;
-            record.borrow_mut().sentences.push(line);
+            let due = async {
+                match typed.peek() {
+                    Some(next) => sleep_until_ns((next.at_s * 1e9) as u64).await,
+                    None => core::future::pending().await,
+                }
+            };
+            match select(host.line(), due).await {
+                Either::First(line) => record.borrow_mut().sentences.push(line),
+                Either::Second(()) => {
+                    if let Some(Typed { text, .. }) = typed.next() {
+                        host.send(text.as_bytes());
+                        host.send(b"\r\n");
+                    }
+                }
+            }
         }
     });
-    [output, host]
+    [output, console, host]
 }
 
 /// Notes what the unit shows of its mode.

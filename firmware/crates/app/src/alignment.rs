@@ -1,21 +1,33 @@
-//! The alignment task: samples in, estimates out.
+//! The alignment task: samples in, estimates out. It calibrates the gyros and navigates as well, since it has the samples.
 //!
 //! While the fine filter works through its queue a sample costs a dozen filter steps and a measurement, half a
 //! millisecond at 168 MHz; the bounded channel holds what comes in meanwhile.
+//!
+//! The calibration of the gyros is applied here, to each sample before anything else sees it, but for the calibration
+//! itself and the self-test's inspection.
 
 use embassy_futures::select::{Either3, select3};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Timer};
-use nav::aligner::{Align, Event};
+use frames::{Body, Vec3};
+use nav::aligner::{self, Align, AlignerConfig, NotReady};
+use nav::calibration::{Calibration, CalibrationConfig, CalibrationError, Calibrator, REST_TRAVEL};
+use nav::increment::Sample;
+use nav::mechanization::{Position, Vertical};
+use nav::navigator::{Navigator, NavigatorConfig};
+use nav::rotor::RotorConfig;
 
 use crate::fault::Task;
-use crate::log::Alignment;
+use crate::log::{Alignment, CalibrationFailure, GyrosCalibrated, NavigationEnd};
 use crate::mode::{Input, Job};
 use crate::selftest::{Inspection, InspectionConfig};
+use crate::settings::{Imu, Mounting, Position as Place, Thermal};
 use crate::shared::{Navigation, Shared, TimedSample};
 
 /// The task checks in at least this often when no samples come.
 const IDLE: Duration = Duration::from_millis(10);
+/// The rotor stands once it has not moved by more than a quarter of what a rest allows for so long, s.
+const STANDING: f32 = 1.0;
 
 /// What the task does besides aligning; the aligner has its own figures.
 ///
@@ -28,30 +40,66 @@ pub struct AlignmentConfig {
     pub publish_every: u16,
     /// What the first samples are judged by.
     pub inspection: InspectionConfig,
+    /// How the gyros are calibrated; Earth's rate is put in where it is known.
+    pub calibration: CalibrationConfig,
+    /// How the unit navigates.
+    pub navigator: NavigatorConfig,
 }
 
-impl Default for AlignmentConfig {
-    fn default() -> Self {
+impl AlignmentConfig {
+    /// What goes with an aligner and its rotor: calibration by 60 s at rest and by at least as long turning, forth and back
+    /// as far (\[Du16\] §3.2); navigation with the height held.
+    pub fn for_aligner<const B: usize>(
+        aligner: &AlignerConfig<f32, B>,
+        rotor: &RotorConfig,
+        inspection: InspectionConfig,
+    ) -> Self {
+        let noise = &aligner.filter.noise;
+        let calibration = CalibrationConfig::default();
+        let pair = 2.0 * rotor.travel;
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "saturates: minutes are meant"
+        )]
+        let pairs = f32::from((calibration.rest * rotor.rate / pair) as u8) + 1.0;
         Self {
             publish_every: 10,
-            inspection: InspectionConfig::default(),
+            inspection,
+            calibration: CalibrationConfig {
+                angle_random_walk: noise.angle_random_walk,
+                instability: noise.gyro_instability_sd,
+                turn: pairs * pair,
+                ..calibration
+            },
+            navigator: NavigatorConfig {
+                vertical: Vertical::Held,
+                decimate_to: aligner.decimate_to,
+                longest_gap: aligner.longest_gap,
+                angle_random_walk: noise.angle_random_walk,
+            },
         }
     }
 }
 
 /// The task's job with what belongs to it.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there is one, in the task's own static, and no heap to put a part of it on"
+)]
 enum Work {
     Idle,
     Inspect(Inspection),
-    Align {
-        /// The aligner has not been told yet that what came before does not count.
-        fresh: bool,
-    },
+    Align,
+    Calibrate(Calibrating),
+    Navigate(Navigator),
 }
 
 /// The task. The aligner is the caller's: it is 40 kB, and belongs into a static.
 pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, config: AlignmentConfig) -> ! {
     let mut work = Work::Idle;
+    let mut correction = Correction::default();
+    let mut mounting = Mounting::default();
     let mut since_published = 0;
     loop {
         shared.check_in(Task::Alignment);
@@ -59,54 +107,244 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
             Either3::First(job) => {
                 // What waits was measured before.
                 shared.forget_samples();
-                work = match job {
-                    Job::Idle => Work::Idle,
-                    Job::Inspect => Work::Inspect(Inspection::new(config.inspection)),
-                    Job::Align => Work::Align { fresh: true },
+                work = begin(shared, aligner, job, &config);
+                let settings = shared.settings();
+                correction = Correction {
+                    imu: settings.imu,
+                    thermal: settings.thermal,
                 };
+                mounting = settings.installation.mounting;
                 continue;
             }
             Either3::Second(sample) => sample,
             Either3::Third(()) => continue,
         };
-        match &mut work {
-            Work::Idle => {}
-            Work::Inspect(inspection) => {
-                if let Some(verdict) = inspection.push(&sample.sample) {
-                    shared.tell(Input::Inspected(verdict));
-                    work = Work::Idle;
-                }
+        if let Some(input) = work_on(&mut work, aligner, &sample, &correction, shared) {
+            if !matches!(input, Input::Alignment(_) | Input::Rested) {
+                work = Work::Idle;
             }
-            Work::Align { fresh } => {
-                let Some(alpha) = sample.alpha else { continue };
-                align(shared, aligner, &sample, alpha, core::mem::take(fresh));
-                since_published += 1;
-                if since_published >= config.publish_every {
-                    since_published = 0;
-                    shared.navigation.sender().send(Navigation {
-                        t_us: sample.t_us,
-                        mode: aligner.mode(),
-                        estimate: aligner.estimate(),
-                        not_ready: aligner.not_ready(),
-                    });
-                }
+            shared.tell(input);
+        }
+        if !matches!(work, Work::Align | Work::Navigate(_)) {
+            continue;
+        }
+        since_published += 1;
+        if since_published >= config.publish_every {
+            since_published = 0;
+            let mut navigation = navigation(sample.t_us, &work, aligner);
+            if let Some(estimate) = &mut navigation.estimate {
+                estimate.attitude = mounting.vehicle(&estimate.c_nb);
             }
+            shared.navigation.sender().send(navigation);
         }
     }
 }
 
-fn align<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, sample: &TimedSample, alpha: f32, fresh: bool) {
-    let mut increments = sample.sample;
-    if fresh {
-        // A gap beyond what is bridged makes the aligner start anew, in place and without telling a reason that is
-        // none. An aligner that has only settled may go on.
-        increments.gap = 2.0 * aligner.longest_gap() + 1.0;
+fn begin<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, job: Job, config: &AlignmentConfig) -> Work {
+    let Place {
+        latitude,
+        longitude,
+        height,
+        ..
+    } = shared.settings().position();
+    match job {
+        Job::Idle => Work::Idle,
+        Job::Inspect => Work::Inspect(Inspection::new(config.inspection)),
+        Job::Align => {
+            // A place that cannot be is refused where it is set; here the one before would stay.
+            if aligner.set_place(latitude, height).is_err() {
+                aligner.start_anew();
+            }
+            Work::Align
+        }
+        Job::Calibrate { aligned } => {
+            let c_nb = aligner.estimate().filter(|_| aligned).map(|estimate| estimate.c_nb);
+            let w_ie_b = c_nb.map(|c_nb| c_nb.inverse() * aligner.earth().w_ie_n());
+            Calibrating::new(config.calibration, w_ie_b).map_or_else(
+                |error| {
+                    shared.tell(Input::GyrosCalibrated(Err(error.into())));
+                    Work::Idle
+                },
+                Work::Calibrate,
+            )
+        }
+        Job::Navigate => {
+            let place = Position {
+                latitude,
+                longitude,
+                height,
+            };
+            let navigator = aligner
+                .hand_over()
+                .ok_or(NavigationEnd::NotAligned)
+                .and_then(|from| Navigator::new(config.navigator, place, &from).map_err(|_| NavigationEnd::Lost));
+            navigator.map_or_else(
+                |why| {
+                    shared.tell(Input::NavigationEnded(why));
+                    Work::Idle
+                },
+                Work::Navigate,
+            )
+        }
     }
-    let told = aligner.step(&increments, alpha);
-    if fresh && matches!(told, Some(Event::Restarted(_))) {
-        return;
+}
+
+/// What is known of the gyros before they are aligned.
+#[derive(Default)]
+struct Correction {
+    imu: Imu,
+    thermal: Thermal,
+}
+
+impl Correction {
+    /// The increments of a sample without it.
+    fn of(&self, sample: &TimedSample) -> Sample {
+        let mut corrected = sample.sample;
+        let mut bias_s = self.thermal.bias_s(sample.temperature_c);
+        if let Some(gyros) = &self.imu.calibration {
+            corrected = gyros.corrected(&corrected);
+            // At the temperature of the calibration its biases say all.
+            bias_s -= self.thermal.bias_s(self.imu.temperature_c);
+        }
+        corrected.dtheta_s -= bias_s * corrected.dt;
+        corrected
     }
-    if let Some(event) = told {
-        shared.tell(Input::Alignment(Alignment::from(&event)));
+}
+
+/// One sample; what the supervisor is to know of it.
+fn work_on<M: RawMutex>(
+    work: &mut Work,
+    aligner: &mut dyn Align,
+    sample: &TimedSample,
+    correction: &Correction,
+    shared: &Shared<M>,
+) -> Option<Input> {
+    let raw = &sample.sample;
+    let corrected = || correction.of(sample);
+    match work {
+        Work::Idle => None,
+        Work::Inspect(inspection) => inspection.push(raw).map(Input::Inspected),
+        Work::Align => {
+            let event = aligner.step(&corrected(), sample.alpha?)?;
+            Some(Input::Alignment(Alignment::from(&event)))
+        }
+        Work::Calibrate(calibrating) => match calibrating.step(raw, sample.alpha?) {
+            Ok(Progress::None) => None,
+            Ok(Progress::Rested) => Some(Input::Rested),
+            Ok(Progress::Done(found)) => {
+                let biases_used = calibrating.earth_known;
+                let used = if biases_used { found } else { found.column_only() };
+                shared.change(|settings| {
+                    settings.imu = Imu {
+                        calibration: Some(used),
+                        temperature_c: sample.temperature_c,
+                    };
+                });
+                Some(Input::GyrosCalibrated(Ok(GyrosCalibrated::new(&found, biases_used))))
+            }
+            Err(error) => Some(Input::GyrosCalibrated(Err(CalibrationFailure::from(error)))),
+        },
+        Work::Navigate(navigator) => {
+            let stepped = navigator.step(&corrected(), sample.alpha?);
+            stepped.err().map(|error| Input::NavigationEnded(error.into()))
+        }
+    }
+}
+
+#[inline(never)]
+fn navigation(t_us: u64, work: &Work, aligner: &dyn Align) -> Navigation {
+    let Work::Navigate(navigator) = work else {
+        return Navigation {
+            t_us,
+            mode: aligner.mode(),
+            estimate: aligner.estimate(),
+            not_ready: aligner.not_ready(),
+            track: None,
+        };
+    };
+    let estimate = navigator.estimate();
+    let sd = estimate.sd.heading;
+    let good = sd <= aligner.ready_heading_sd();
+    Navigation {
+        t_us,
+        mode: if good {
+            aligner::Mode::Aligned
+        } else {
+            aligner::Mode::Fine
+        },
+        estimate: Some(estimate),
+        not_ready: (!good).then_some(NotReady::HeadingSd { sd }),
+        track: Some(navigator.track()),
+    }
+}
+
+enum Progress {
+    None,
+    Rested,
+    Done(Calibration),
+}
+
+/// The calibration of the gyros: waits until the rotor stands, then rests, then turns.
+struct Calibrating {
+    calibrator: Calibrator,
+    /// Time at rest that is wanted, and the turn, s and rad.
+    rest: f32,
+    turn: f32,
+    earth_known: bool,
+    phase: Phase,
+}
+
+enum Phase {
+    /// The rotor comes to rest: where it was last seen to move to, rad, and for how long it has been there, s.
+    Stopping {
+        stand: Option<f32>,
+        elapsed: f32,
+    },
+    Resting,
+    Turning,
+}
+
+impl Calibrating {
+    fn new(config: CalibrationConfig, w_ie_b: Option<Vec3<Body>>) -> Result<Self, CalibrationError> {
+        Ok(Self {
+            calibrator: Calibrator::new(CalibrationConfig { w_ie_b, ..config })?,
+            rest: config.rest,
+            turn: config.turn,
+            earth_known: w_ie_b.is_some(),
+            phase: Phase::Stopping {
+                stand: None,
+                elapsed: 0.0,
+            },
+        })
+    }
+
+    fn step(&mut self, sample: &Sample, alpha: f32) -> Result<Progress, CalibrationError> {
+        match &mut self.phase {
+            Phase::Stopping { stand, elapsed } => {
+                let moved = stand.is_none_or(|stand| (alpha - stand).abs() > 0.25 * REST_TRAVEL as f32);
+                if moved {
+                    *stand = Some(alpha);
+                    *elapsed = 0.0;
+                }
+                *elapsed += sample.dt + sample.gap;
+                if *elapsed >= STANDING {
+                    self.phase = Phase::Resting;
+                }
+            }
+            Phase::Resting => {
+                self.calibrator.rest(sample, alpha)?;
+                if self.calibrator.rested() >= self.rest {
+                    self.phase = Phase::Turning;
+                    return Ok(Progress::Rested);
+                }
+            }
+            Phase::Turning => {
+                self.calibrator.turn(sample, alpha)?;
+                if self.calibrator.turned() >= self.turn {
+                    return self.calibrator.finish().map(Progress::Done);
+                }
+            }
+        }
+        Ok(Progress::None)
     }
 }

@@ -10,10 +10,16 @@ pub enum Command {
     Stop,
     /// Align from the beginning.
     Align,
-    /// Calibrate the IMU: from rest only.
+    /// Calibrate the gyros, a minute at rest and a minute turning: from rest, or once aligned.
     Calibrate,
+    /// Navigate from here on: once aligned.
+    Navigate,
+    /// Test everything, then rest: from rest only.
+    SelfTest,
     /// Forget the fault and start again.
     ResetFault,
+    /// Start the program anew.
+    Restart,
 }
 
 /// Names of the modes.
@@ -28,10 +34,37 @@ pub enum ModeName {
     Coarse,
     Fine,
     Aligned,
+    Navigating,
     Fault,
 }
 
+impl Command {
+    /// All there are.
+    pub const ALL: [Self; 7] = [
+        Self::Stop,
+        Self::Align,
+        Self::Calibrate,
+        Self::Navigate,
+        Self::SelfTest,
+        Self::ResetFault,
+        Self::Restart,
+    ];
+}
+
 impl ModeName {
+    /// All there are.
+    pub const ALL: [Self; 9] = [
+        Self::Idle,
+        Self::SelfTest,
+        Self::Homing,
+        Self::Calibrating,
+        Self::Coarse,
+        Self::Fine,
+        Self::Aligned,
+        Self::Navigating,
+        Self::Fault,
+    ];
+
     /// For people.
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -42,6 +75,7 @@ impl ModeName {
             Self::Coarse => "coarse",
             Self::Fine => "fine",
             Self::Aligned => "aligned",
+            Self::Navigating => "navigating",
             Self::Fault => "fault",
         }
     }

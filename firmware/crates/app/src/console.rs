@@ -1,32 +1,50 @@
-//! Commands on the serial line: the parser, pure. A line of text in, a [`Request`] or what was expected out.
+//! Commands on the serial line: a line of text in, an answer out.
 //!
 //! ```text
-//! help               what there is
-//! status             the status sentence, now
-//! version            of the program
-//! align              align from the beginning
-//! calibrate          calibrate the IMU: from rest only
-//! stop               stop the rotor and rest
-//! reset              forget the fault and start again
+//! help                     what there is
+//! status                   the status sentence, now
+//! version                  of the program
+//! align                    align from the beginning
+//! calibrate                calibrate the gyros: from rest, better once aligned
+//! navigate                 dead reckoning from here: once aligned
+//! stop                     stop the rotor and rest
+//! selftest                 test, then rest: from rest only
+//! reset                    forget the fault and start again
+//! restart                  start the program anew
+//! show                     the settings
+//! set latitude 40.1        a setting: see [`Setting::ALL`]
+//! save                     keep settings and calibration
+//! log info                 error, warn, info or debug
 //! ```
 //!
 //! Upper and lower case are the same, blanks more or less as well; an empty line, or one that begins with `#`, is
 //! nothing. [`LineBuffer`] makes lines of bytes: they end with CR or LF, backspace takes one back, and a line longer
 //! than [`LONGEST`] or with a byte that is no text is refused as a whole, up to its end, so that no part of it is
 //! taken for a command.
+//!
+//! [`parse`] is pure; [`run`] is the task, which keeps the settings.
 
 use core::fmt;
 
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_time::Timer;
+use embedded_io_async::Read;
+use embedded_storage_async::nor_flash::NorFlash;
+use frames::units::DEG;
 use heapless::Vec;
 
 use crate::command::{Command, ModeName};
+use crate::log::Level;
+use crate::nmea::{self, Line, Sentence};
+use crate::output::Port;
+use crate::settings::{Group, Invalid, Settings, Source, Store, StoreError};
+use crate::shared::Shared;
 
 /// Longest line without its end, bytes.
 pub const LONGEST: usize = 64;
 
 /// What a line asks for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Request {
     /// What there is.
     Help,
@@ -34,57 +52,220 @@ pub enum Request {
     Status,
     /// The program's version.
     Version,
+    /// The settings.
+    Show,
+    /// A setting, from now on.
+    Set(&'static Setting, f32),
+    /// To keep the settings.
+    Save,
+    /// What the log is to tell.
+    Log(Level),
     /// Something for the modes.
     Unit(Command),
 }
 
+/// A setting that a command changes, by its place in [`Setting::ALL`].
+#[derive(Debug, Clone, Copy)]
+pub struct Setting {
+    /// As it is typed.
+    pub name: &'static str,
+    /// As it is typed, after the value.
+    pub unit: &'static str,
+    /// With what it is saved, and checked.
+    pub group: Group,
+    /// Digits behind the point.
+    decimals: usize,
+    field: for<'a> fn(&'a mut Settings) -> Field<'a>,
+}
+
+/// Where a value is kept.
+enum Field<'a> {
+    /// In rad, typed in degrees.
+    Angle(&'a mut f32),
+    Number(&'a mut f32),
+    Count(&'a mut u32),
+}
+
+const fn setting(
+    name: &'static str,
+    unit: &'static str,
+    group: Group,
+    decimals: usize,
+    field: for<'a> fn(&'a mut Settings) -> Field<'a>,
+) -> Setting {
+    Setting {
+        name,
+        unit,
+        group,
+        decimals,
+        field,
+    }
+}
+
+impl PartialEq for Setting {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+impl Setting {
+    /// All that can be set here. The place is taken up by `align`, the others by `restart`, once saved.
+    pub const ALL: [Self; 10] = [
+        setting("latitude", "deg", Group::Installation, 5, |s| {
+            Field::Angle(&mut s.installation.position.latitude)
+        }),
+        setting("longitude", "deg", Group::Installation, 5, |s| {
+            Field::Angle(&mut s.installation.position.longitude)
+        }),
+        setting("height", "m", Group::Installation, 1, |s| {
+            Field::Number(&mut s.installation.position.height)
+        }),
+        setting("mount-heading", "deg", Group::Installation, 3, |s| {
+            Field::Angle(&mut s.installation.mounting.heading)
+        }),
+        setting("mount-pitch", "deg", Group::Installation, 3, |s| {
+            Field::Angle(&mut s.installation.mounting.pitch)
+        }),
+        setting("mount-roll", "deg", Group::Installation, 3, |s| {
+            Field::Angle(&mut s.installation.mounting.roll)
+        }),
+        setting("rotor-rate", "deg/s", Group::Motion, 2, |s| {
+            Field::Angle(&mut s.motion.rate)
+        }),
+        setting("rotor-travel", "deg", Group::Motion, 1, |s| {
+            Field::Angle(&mut s.motion.travel)
+        }),
+        setting("period", "ms", Group::Output, 0, |s| {
+            Field::Count(&mut s.output.period_ms)
+        }),
+        setting("serial", "", Group::Identity, 0, |s| {
+            Field::Count(&mut s.identity.serial)
+        }),
+    ];
+
+    /// Its value, in the unit in which it is typed.
+    pub fn get(&self, settings: &Settings) -> f32 {
+        let mut copy = *settings;
+        match (self.field)(&mut copy) {
+            Field::Angle(rad) => *rad / DEG as f32,
+            Field::Number(value) => *value,
+            // Below 2²⁴, see its range.
+            Field::Count(count) => *count as f32,
+        }
+    }
+
+    /// The settings with another value.
+    ///
+    /// # Errors
+    /// [`Invalid`], where it is out of range.
+    pub fn put(&self, mut settings: Settings, value: f32) -> Result<Settings, Invalid> {
+        match (self.field)(&mut settings) {
+            Field::Angle(rad) => *rad = value * DEG as f32,
+            Field::Number(number) => *number = value,
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "saturates, out of its range"
+            )]
+            Field::Count(count) => *count = if value < 0.0 { u32::MAX } else { value as u32 },
+        }
+        if self.group == Group::Installation {
+            settings.installation.position.source = Source::Operator;
+        }
+        settings.validate(self.group)?;
+        Ok(settings)
+    }
+
+    /// What `invalid` would have taken, in the unit in which it is typed.
+    fn expected(&self, invalid: Invalid) -> Sentence {
+        let mut line = Line::answer(false);
+        line.words("expected ");
+        line.words(self.name);
+        if let Invalid::OutOfRange { low, high, .. } = invalid {
+            let mut any = Settings::default();
+            let scale = match (self.field)(&mut any) {
+                Field::Angle(_) => DEG as f32,
+                _ => 1.0,
+            };
+            line.words(" from ");
+            line.decimal(low / scale, 1);
+            line.words(" to ");
+            line.decimal(high / scale, 1);
+        }
+        line.words(" ");
+        line.words(self.unit);
+        line.end()
+    }
+}
+
+/// What follows a word.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Rest {
+    /// Nothing.
+    Nothing(Request),
+    /// A setting and its value.
+    Setting,
+    /// A level.
+    Level,
+}
+
 /// A word of the console.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Word {
     /// As it is typed, in lower case.
     pub name: &'static str,
-    /// What it asks for.
-    pub request: Request,
+    rest: Rest,
     /// What it does, for `help`.
     pub help: &'static str,
 }
 
+const fn word(name: &'static str, request: Request, help: &'static str) -> Word {
+    Word {
+        name,
+        rest: Rest::Nothing(request),
+        help,
+    }
+}
+
 /// All words there are.
-pub const WORDS: [Word; 7] = [
+pub const WORDS: [Word; 14] = [
+    word("help", Request::Help, "this list"),
+    word("status", Request::Status, "the status sentence now"),
+    word("version", Request::Version, "of the program"),
+    word("align", Request::Unit(Command::Align), "align from the beginning"),
+    word(
+        "calibrate",
+        Request::Unit(Command::Calibrate),
+        "the gyros - from rest, better once aligned",
+    ),
+    word(
+        "navigate",
+        Request::Unit(Command::Navigate),
+        "dead reckoning from here - once aligned",
+    ),
+    word("stop", Request::Unit(Command::Stop), "stop the rotor and rest"),
+    word(
+        "selftest",
+        Request::Unit(Command::SelfTest),
+        "test, then rest - from rest only",
+    ),
+    word(
+        "reset",
+        Request::Unit(Command::ResetFault),
+        "forget the fault and start again",
+    ),
+    word("restart", Request::Unit(Command::Restart), "start the program anew"),
+    word("show", Request::Show, "the settings"),
     Word {
-        name: "help",
-        request: Request::Help,
-        help: "this list",
+        name: "set",
+        rest: Rest::Setting,
+        help: "a setting and its value, as show lists them",
     },
+    word("save", Request::Save, "keep settings and calibration"),
     Word {
-        name: "status",
-        request: Request::Status,
-        help: "the status sentence now",
-    },
-    Word {
-        name: "version",
-        request: Request::Version,
-        help: "of the program",
-    },
-    Word {
-        name: "align",
-        request: Request::Unit(Command::Align),
-        help: "align from the beginning",
-    },
-    Word {
-        name: "calibrate",
-        request: Request::Unit(Command::Calibrate),
-        help: "calibrate the IMU - from rest only",
-    },
-    Word {
-        name: "stop",
-        request: Request::Unit(Command::Stop),
-        help: "stop the rotor and rest",
-    },
-    Word {
-        name: "reset",
-        request: Request::Unit(Command::ResetFault),
-        help: "forget the fault and start again",
+        name: "log",
+        rest: Rest::Level,
+        help: "error, warn, info or debug",
     },
 ];
 
@@ -94,11 +275,14 @@ pub const WORDS: [Word; 7] = [
 pub enum LineError {
     /// The first word is none of [`WORDS`].
     Unknown,
-    /// There is more on the line than the word.
-    Excess {
-        /// The word.
-        name: &'static str,
-    },
+    /// There is more on the line than belongs there.
+    Excess,
+    /// No setting by that name, or none at all.
+    Setting,
+    /// The value is no number.
+    Number,
+    /// No such level.
+    Level,
     /// Longer than [`LONGEST`].
     Long,
     /// With a byte that is no printable ASCII: noise, or another baud rate.
@@ -109,8 +293,11 @@ impl LineError {
     /// What was expected, in words that fit an answer.
     pub const fn expected(self) -> &'static str {
         match self {
-            Self::Unknown => "expected help status version align calibrate stop or reset",
-            Self::Excess { .. } => "expected nothing after the command",
+            Self::Unknown => "expected a command: help lists them",
+            Self::Excess => "expected nothing more on the line",
+            Self::Setting => "expected the name of a setting and a number: show lists them",
+            Self::Number => "expected a number as -12.345",
+            Self::Level => "expected log error, warn, info or debug",
             Self::Long => "expected at most 64 characters on a line",
             Self::Garbled => "expected ASCII at 115200 baud 8N1",
         }
@@ -124,6 +311,9 @@ impl fmt::Display for LineError {
 }
 
 impl core::error::Error for LineError {}
+
+/// One copy of them: a constant would be one wherever it is used.
+static SETTINGS: [Setting; 10] = Setting::ALL;
 
 /// What a line without its end asks for; `None` where it is empty or a remark.
 ///
@@ -140,30 +330,223 @@ pub fn parse(line: &[u8]) -> Result<Option<Request>, LineError> {
     let Some(first) = words.next().filter(|word| !word.starts_with(b"#")) else {
         return Ok(None);
     };
-    let Some(word) = WORDS
-        .iter()
-        .find(|word| word.name.as_bytes().eq_ignore_ascii_case(first))
-    else {
+    let Some(word) = WORDS.iter().find(|word| is(word.name, first)) else {
         return Err(LineError::Unknown);
     };
-    match words.next() {
-        None => Ok(Some(word.request)),
-        Some(_) => Err(LineError::Excess { name: word.name }),
+    let mut next = || words.next().unwrap_or_default();
+    let request = match word.rest {
+        Rest::Nothing(request) => request,
+        Rest::Setting => {
+            let name = next();
+            let setting = SETTINGS.iter().find(|setting| is(setting.name, name));
+            let setting = setting.ok_or(LineError::Setting)?;
+            Request::Set(setting, number(next()).ok_or(LineError::Number)?)
+        }
+        Rest::Level => {
+            let name = next();
+            let level = Level::ALL.into_iter().find(|level| is(level.name(), name));
+            Request::Log(level.ok_or(LineError::Level)?)
+        }
+    };
+    if next().is_empty() {
+        Ok(Some(request))
+    } else {
+        Err(LineError::Excess)
     }
 }
 
-/// Whether the modes take a command in this mode; elsewhere they refuse it. As [`State::step`], which decides; this is
-/// for the answer.
-///
-/// [`State::step`]: crate::mode::State::step
+fn is(name: &str, typed: &[u8]) -> bool {
+    name.as_bytes().eq_ignore_ascii_case(typed)
+}
+
+/// A decimal number of up to nine digits, without an exponent. Not `str::parse`: that is 8 kB of code.
+fn number(text: &[u8]) -> Option<f32> {
+    let (negative, digits) = match text {
+        [b'-', rest @ ..] => (true, rest),
+        [b'+', rest @ ..] | rest => (false, rest),
+    };
+    let (mut value, mut scale, mut count, mut point) = (0_u32, 1_u32, 0, false);
+    for byte in digits {
+        match byte {
+            b'0'..=b'9' if count < 9 => {
+                value = value * 10 + u32::from(byte - b'0');
+                scale *= if point { 10 } else { 1 };
+                count += 1;
+            }
+            b'.' if !point => point = true,
+            _ => return None,
+        }
+    }
+    let size = value as f32 / scale as f32;
+    (count > 0).then_some(if negative { -size } else { size })
+}
+
+/// Whether the modes take a command in this mode; elsewhere they refuse it. But for a fault that only a reset of the
+/// unit ends: it takes nothing, and is about to get one.
 pub const fn taken(mode: ModeName, command: Command) -> bool {
     use ModeName as M;
     match command {
-        // A fault that only a reset of the unit ends refuses this as well; it is about to get one.
         Command::ResetFault => matches!(mode, M::Fault),
+        Command::Restart => true,
         Command::Stop => !matches!(mode, M::Fault),
         Command::Align => !matches!(mode, M::Fault | M::SelfTest | M::Homing),
-        Command::Calibrate => matches!(mode, M::Idle),
+        Command::Calibrate => matches!(mode, M::Idle | M::Aligned),
+        Command::Navigate => matches!(mode, M::Aligned),
+        Command::SelfTest => matches!(mode, M::Idle),
+    }
+}
+
+/// The task: takes lines from `rx`, answers them on `port`, keeps the settings.
+///
+/// Bytes that come while it saves wait in the receiver; what does not fit there spoils its line only.
+pub async fn run<M: RawMutex, F: NorFlash>(
+    shared: &Shared<M>,
+    port: &Port<M>,
+    mut rx: impl Read,
+    mut store: Store<F>,
+) -> ! {
+    let mut lines = LineBuffer::new();
+    let mut bytes = [0; 16];
+    loop {
+        let count = rx.read(&mut bytes).await.unwrap_or(0);
+        if count == 0 {
+            // Noise, a wrong baud rate, bytes lost: the line is refused at its end. Not at once again: a receiver that
+            // only fails must not keep the others from their work.
+            lines.garble();
+            Timer::after_millis(5).await;
+        }
+        for byte in bytes.iter().take(count) {
+            if let Some(found) = lines.push(*byte) {
+                match found {
+                    Ok(request) => obey(shared, port, &mut store, request).await,
+                    Err(error) => port.answer(nmea::answer(false, error.expected())).await,
+                }
+            }
+        }
+    }
+}
+
+async fn obey<M: RawMutex, F: NorFlash>(shared: &Shared<M>, port: &Port<M>, store: &mut Store<F>, request: Request) {
+    let (ok, text) = match request {
+        Request::Help => {
+            for word in &WORDS {
+                let mut line = Line::answer(true);
+                for text in [word.name, " - ", word.help] {
+                    line.words(text);
+                }
+                port.answer(line.end()).await;
+            }
+            return;
+        }
+        Request::Show => {
+            let settings = shared.settings();
+            for setting in &SETTINGS {
+                let mut line = Line::answer(true);
+                line.words(setting.name);
+                line.words(" ");
+                line.decimal(setting.get(&settings), setting.decimals);
+                line.words(" ");
+                line.words(setting.unit);
+                port.answer(line.end()).await;
+            }
+            let calibrated = settings.imu.calibration.is_some();
+            (
+                true,
+                if calibrated {
+                    "gyros calibrated"
+                } else {
+                    "gyros not calibrated"
+                },
+            )
+        }
+        Request::Status => {
+            port.status();
+            return;
+        }
+        Request::Version => (true, concat!("rotary-north ", env!("CARGO_PKG_VERSION"))),
+        Request::Log(level) => {
+            shared.set_log_level(level);
+            (true, level.name())
+        }
+        Request::Set(setting, value) => match setting.put(shared.settings(), value) {
+            Ok(changed) => {
+                // Of what was read before, only this: the alignment may have found something since.
+                shared.change(|settings| settings.take(&changed, setting.group));
+                (true, taken_up(setting.group))
+            }
+            Err(invalid) => return port.answer(setting.expected(invalid)).await,
+        },
+        Request::Save => match save(store, &shared.settings()).await {
+            Ok(()) => (true, "saved"),
+            Err(error) => (false, why(error)),
+        },
+        Request::Unit(command) => {
+            let mode = shared.status.try_get().map(|status| status.mode);
+            match mode {
+                Some(mode) if !taken(mode, command) => (false, refusal(command)),
+                _ if shared.commands.try_send(command).is_ok() => (true, done(command)),
+                _ => (false, "expected some time between commands"),
+            }
+        }
+    };
+    port.answer(nmea::answer(ok, text)).await;
+}
+
+/// All that a command or a calibration may have changed.
+async fn save<F: NorFlash>(store: &mut Store<F>, settings: &Settings) -> Result<(), StoreError> {
+    for group in [
+        Group::Installation,
+        Group::Motion,
+        Group::Output,
+        Group::Identity,
+        Group::Imu,
+        Group::Encoder,
+    ] {
+        store.save(settings, group).await?;
+    }
+    Ok(())
+}
+
+/// Why nothing was saved, in words that fit an answer.
+const fn why(error: StoreError) -> &'static str {
+    match error {
+        StoreError::Invalid(_) => "not saved: a value is out of range",
+        StoreError::Newer { .. } => "not saved: the settings are a later program's",
+        StoreError::Flash => "not saved: the flash reports an error",
+        StoreError::Full => "not saved: no room",
+        StoreError::Worn => "not saved: the flash is worn out",
+    }
+}
+
+/// When a setting acts.
+const fn taken_up(group: Group) -> &'static str {
+    match group {
+        Group::Installation => "set - align takes it up and save keeps it",
+        _ => "set - save it then restart",
+    }
+}
+
+/// What a command brings about.
+const fn done(command: Command) -> &'static str {
+    match command {
+        Command::Stop => "the rotor stops",
+        Command::Align => "aligning",
+        Command::Calibrate => "calibrating: keep the base still for 3 minutes",
+        Command::Navigate => "navigating",
+        Command::SelfTest => "testing",
+        Command::ResetFault => "starting again",
+        Command::Restart => "restarting",
+    }
+}
+
+/// When a command makes sense.
+const fn refusal(command: Command) -> &'static str {
+    match command {
+        Command::Stop | Command::Align | Command::Restart => "not now: wait, or reset the fault",
+        Command::Calibrate => "only from rest or once aligned: stop first",
+        Command::Navigate => "only once aligned",
+        Command::SelfTest => "only from rest: stop first",
+        Command::ResetFault => "there is no fault",
     }
 }
 
@@ -231,6 +614,7 @@ impl LineBuffer {
 
 #[cfg(test)]
 mod tests {
+    use std::borrow::ToOwned;
     use std::vec::Vec;
 
     use drivers::mt6835::Warnings;
@@ -238,8 +622,12 @@ mod tests {
 
     use super::*;
     use crate::fault::Fault;
-    use crate::mode::{Action, Faulted, Homing, Input, Mode, SelfTest, State};
+    use crate::mode::{Action, Calibrating, Faulted, Homing, Input, Mode, SelfTest, State};
     use crate::nmea;
+
+    fn by_name(name: &str) -> &'static Setting {
+        SETTINGS.iter().find(|setting| setting.name == name).unwrap()
+    }
 
     /// All that comes out of a row of bytes.
     fn feed(bytes: &[u8]) -> Vec<Result<Request, LineError>> {
@@ -250,20 +638,49 @@ mod tests {
     #[test]
     fn every_word_is_understood_and_none_twice() {
         for word in WORDS {
-            assert_eq!(parse(word.name.as_bytes()), Ok(Some(word.request)));
+            match word.rest {
+                Rest::Nothing(request) => assert_eq!(parse(word.name.as_bytes()), Ok(Some(request))),
+                Rest::Setting => assert_eq!(parse(word.name.as_bytes()), Err(LineError::Setting)),
+                Rest::Level => assert_eq!(parse(word.name.as_bytes()), Err(LineError::Level)),
+            }
             assert_eq!(WORDS.iter().filter(|other| other.name == word.name).count(), 1);
-            assert!(LineError::Unknown.expected().contains(word.name), "{}", word.name);
             // With name and hyphen it goes into one answer.
             assert!(word.name.len() + 3 + word.help.len() <= nmea::ANSWER);
         }
-        for command in [Command::Stop, Command::Align, Command::Calibrate, Command::ResetFault] {
-            assert!(WORDS.iter().any(|word| word.request == Request::Unit(command)));
+        for command in Command::ALL {
+            let asks = |word: &Word| word.rest == Rest::Nothing(Request::Unit(command));
+            assert!(WORDS.iter().any(asks), "{command:?}");
         }
+    }
+
+    #[test]
+    fn a_wrong_setting_is_told_its_range() {
+        let told = |name, value| {
+            let setting = by_name(name);
+            let refused = setting.put(Settings::default(), value).unwrap_err();
+            setting.expected(refused).as_str().split('*').next().unwrap().to_owned()
+        };
+        assert_eq!(
+            told("latitude", 86.0),
+            "$PRNSA,error,expected latitude from -85.0 to 85.0 deg"
+        );
+        assert_eq!(
+            told("height", 1e9),
+            "$PRNSA,error,expected height from -12000.0 to 30000.0 m"
+        );
+        assert_eq!(
+            told("period", -1.0),
+            "$PRNSA,error,expected period from 50.0 to 10000.0 ms"
+        );
+        let set = by_name("longitude").put(Settings::default(), -8.5).unwrap();
+        assert_eq!(set.position().source, Source::Operator);
+        assert!((by_name("longitude").get(&set) + 8.5).abs() < 1e-5);
     }
 
     #[test]
     fn lines_and_what_they_ask_for() {
         use LineError as E;
+        let set = |name, value| Ok(Request::Set(by_name(name), value));
         let (align, stop) = (Ok(Request::Unit(Command::Align)), Ok(Request::Unit(Command::Stop)));
         let long = [&[b'x'; LONGEST + 1][..], b" stop\nalign\n"].concat();
         let full = [&[b' '; LONGEST - 4][..], b"stop\n"].concat();
@@ -273,14 +690,32 @@ mod tests {
             (b"  ALIGN \t\rstop\n", &[align, stop]),
             (b"align", &[]),
             (b"alig\nn\n", &[Err(E::Unknown), Err(E::Unknown)]),
-            (b"stop now\n", &[Err(E::Excess { name: "stop" })]),
-            (b"stop # now\n", &[Err(E::Excess { name: "stop" })]),
+            (b"stop now\n", &[Err(E::Excess)]),
+            (b"stop # now\n", &[Err(E::Excess)]),
             (b"stopp\nsto\n", &[Err(E::Unknown), Err(E::Unknown)]),
             (b"stpo\x08\x08op\nx\x7f\x7fstop\n", &[stop, stop]),
             (b"st\xFFop\nstop\n", &[Err(E::Garbled), stop]),
             (b"\0stop\nstop\n", &[Err(E::Garbled), stop]),
             (&long, &[Err(E::Long), align]),
             (&full, &[stop]),
+            (
+                b"set latitude 40.1\nSET Longitude -8.5\nset height +12\n",
+                &[set("latitude", 40.1), set("longitude", -8.5), set("height", 12.0)],
+            ),
+            (
+                b"set latitude .5\nset latitude 5.\n",
+                &[set("latitude", 0.5), set("latitude", 5.0)],
+            ),
+            (b"set\nset speed 3\n", &[Err(E::Setting), Err(E::Setting)]),
+            (
+                b"set height\nset height .\nset height 1.2.3\nset height 1e3\nset height 1234567890\nset height --1\n",
+                &[Err(E::Number); 6],
+            ),
+            (b"set height 1 m\n", &[Err(E::Excess)]),
+            (
+                b"log warn\nlog\nlog all\n",
+                &[Ok(Request::Log(Level::Warn)), Err(E::Level), Err(E::Level)],
+            ),
             // What the unit itself sends, on a line that echoes.
             (b"$HETHS,,V*14\r\n", &[Err(E::Unknown)]),
         ] {
@@ -313,13 +748,14 @@ mod tests {
             Mode::Idle,
             Mode::SelfTest(SelfTest::default()),
             Mode::Homing(Homing::Searching),
-            Mode::Calibrating,
+            Mode::Calibrating(Calibrating::Resting),
             Mode::Coarse,
             Mode::Fine,
             Mode::Aligned,
+            Mode::Navigating,
             Mode::Fault(Faulted { fault, latched: true }),
         ] {
-            for command in [Command::Stop, Command::Align, Command::Calibrate, Command::ResetFault] {
+            for command in Command::ALL {
                 let state = State {
                     mode,
                     ..State::default()
@@ -334,6 +770,34 @@ mod tests {
     }
 
     proptest! {
+        /// To the last digit of an f32, and nothing else is a number.
+        #[test]
+        fn numbers_are_those_of_the_library(text in "[-+]?[0-9]{0,5}[.]?[0-9]{0,4}") {
+            let expected = text.parse::<f32>().ok();
+            let found = number(text.as_bytes());
+            prop_assert_eq!(found.is_some(), expected.is_some(), "{}", text);
+            if let (Some(found), Some(expected)) = (found, expected) {
+                prop_assert!((found - expected).abs() <= 2e-7 * expected.abs(), "{} {}", found, expected);
+            }
+        }
+
+        /// Whatever is set, all settings stay in their ranges, and what is refused is told within a line.
+        #[test]
+        fn no_setting_is_impossible(nth in 0..SETTINGS.len(), value in any::<f32>()) {
+            let (setting, before) = (&SETTINGS[nth], Settings::default());
+            match setting.put(before, value) {
+                Ok(after) => {
+                    prop_assert!(Group::ALL.iter().all(|group| after.validate(*group).is_ok()));
+                    let found = setting.get(&after);
+                    prop_assert!((found - value).abs() <= 1e-6 * value.abs() + 1e-30 || found == value.trunc());
+                }
+                Err(invalid) => {
+                    let sentence = setting.expected(invalid);
+                    prop_assert!(sentence.as_str().starts_with("$PRNSA,error,expected "));
+                }
+            }
+        }
+
         #[test]
         fn no_bytes_do_harm(bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
             let ends = bytes.iter().filter(|byte| matches!(byte, b'\r' | b'\n')).count();
@@ -351,7 +815,8 @@ mod tests {
             bytes.push(b'\n');
             bytes.extend_from_slice(WORDS[nth].name.as_bytes());
             bytes.push(b'\n');
-            prop_assert_eq!(feed(&bytes).pop(), Some(Ok(WORDS[nth].request)));
+            let alone = parse(WORDS[nth].name.as_bytes()).transpose();
+            prop_assert_eq!(feed(&bytes).pop(), alone);
         }
     }
 }

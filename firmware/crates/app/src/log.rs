@@ -7,8 +7,10 @@ use core::fmt;
 
 use drivers::sequence::Tally;
 use drivers::{Error, Identity};
-use frames::units::DEG;
+use frames::units::{ARC_MIN, DEG, DEG_PER_HOUR, PPM};
 use nav::aligner;
+use nav::calibration::{Calibration, CalibrationError};
+use nav::navigator::NavigatorError;
 
 use crate::command::{Command, ModeName};
 use crate::fault::Fault;
@@ -55,6 +57,12 @@ pub enum Event {
     },
     /// The aligner has told something.
     Alignment(Alignment),
+    /// The gyros are calibrated; samples are corrected from here on.
+    GyrosCalibrated(GyrosCalibrated),
+    /// They are not; what was known before still holds.
+    NotCalibrated(CalibrationFailure),
+    /// Navigation cannot go on, and the unit aligns anew.
+    NavigationEnded(NavigationEnd),
     /// A fault, and the motor is off.
     Fault(Fault),
     /// The retry after a fault begins.
@@ -92,6 +100,117 @@ pub enum Event {
         /// The mode.
         mode: ModeName,
     },
+}
+
+/// What the calibration of the gyros has found, in the units of people.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct GyrosCalibrated {
+    /// Biases, °/h; with Earth's rate in them, and left where they are, where that was not known.
+    pub bias_deg_h: [f32; 3],
+    /// Whether Earth's rate was known, so that the biases are taken off.
+    pub biases_used: bool,
+    /// What x and y take of a turn about z, arc minutes.
+    pub misalignment_arcmin: [f32; 2],
+    /// Scale factor error of z, ppm.
+    pub scale_factor_ppm: f32,
+    /// 1σ of each bias, °/h.
+    pub bias_sd_deg_h: f32,
+    /// 1σ of the other three, ppm.
+    pub column_sd_ppm: f32,
+}
+
+impl GyrosCalibrated {
+    /// Of a calibration.
+    pub fn new(found: &Calibration, biases_used: bool) -> Self {
+        Self {
+            bias_deg_h: (found.bias_s / DEG_PER_HOUR as f32).to_array(),
+            biases_used,
+            misalignment_arcmin: [found.k_xz, found.k_yz].map(|k| k / ARC_MIN as f32),
+            scale_factor_ppm: found.s_z / PPM as f32,
+            bias_sd_deg_h: found.bias_sd / DEG_PER_HOUR as f32,
+            column_sd_ppm: found.column_sd / PPM as f32,
+        }
+    }
+}
+
+/// Why the gyros are not calibrated.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum CalibrationFailure {
+    /// The rotor moved while it should have stood.
+    RotorMoved,
+    /// The base moves.
+    BaseMoved {
+        /// Variance of the worst axis' residuals over the predicted one.
+        scatter: f32,
+    },
+    /// Samples that cannot be, or figures that cannot.
+    Refused,
+    /// It took too long: the rotor does not come to rest, samples are missing.
+    Timeout,
+}
+
+impl From<CalibrationError> for CalibrationFailure {
+    fn from(error: CalibrationError) -> Self {
+        match error {
+            CalibrationError::RotorMoved { .. } => Self::RotorMoved,
+            CalibrationError::BaseMoved { scatter } => Self::BaseMoved { scatter },
+            _ => Self::Refused,
+        }
+    }
+}
+
+impl fmt::Display for CalibrationFailure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::RotorMoved => f.write_str("the rotor moved while it should have stood"),
+            Self::BaseMoved { scatter } => write!(
+                f,
+                "the base moves, residuals have {scatter:.1} times their variance: set the unit on firm ground"
+            ),
+            Self::Refused => f.write_str("samples or figures that cannot be"),
+            Self::Timeout => f.write_str("it took too long"),
+        }
+    }
+}
+
+/// Why navigation ended.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum NavigationEnd {
+    /// Nothing to begin from.
+    NotAligned,
+    /// No data for too long.
+    Gap {
+        /// How long, s.
+        length: f32,
+    },
+    /// A sample that cannot be.
+    BadSample,
+    /// A place or a velocity that cannot be.
+    Lost,
+}
+
+impl From<NavigatorError> for NavigationEnd {
+    fn from(error: NavigatorError) -> Self {
+        match error {
+            NavigatorError::Gap { length } => Self::Gap { length },
+            NavigatorError::Sample => Self::BadSample,
+            NavigatorError::Mechanization(_) => Self::Lost,
+        }
+    }
+}
+
+impl fmt::Display for NavigationEnd {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotAligned => f.write_str("there is no estimate to begin from"),
+            Self::Gap { length } => write!(f, "{length:.3} s without data"),
+            Self::BadSample => f.write_str("an impossible sample"),
+            Self::Lost => f.write_str("place or velocity are impossible"),
+        }
+    }
 }
 
 /// What the aligner told, in the units of people.
@@ -220,6 +339,24 @@ impl fmt::Display for Event {
             Self::Calibrated { offset } => write!(f, "motor calibrated: electrical offset {:.2} deg", deg(*offset)),
             Self::Homed { angle } => write!(f, "homed: rotor at {:.2} deg", deg(*angle)),
             Self::Alignment(told) => told.fmt(f),
+            Self::GyrosCalibrated(found) => {
+                let ([x, y, z], [kx, ky]) = (found.bias_deg_h, found.misalignment_arcmin);
+                write!(
+                    f,
+                    "gyros calibrated: z scale factor {:.0} ppm, x and y take {kx:.2}' and {ky:.2}' of z, sd {:.0} ppm; \
+                     biases {x:.2} {y:.2} {z:.2} deg/h {}, sd {:.2}",
+                    found.scale_factor_ppm,
+                    found.column_sd_ppm,
+                    if found.biases_used {
+                        "taken off"
+                    } else {
+                        "with Earth's rate, left"
+                    },
+                    found.bias_sd_deg_h
+                )
+            }
+            Self::NotCalibrated(failure) => write!(f, "gyros not calibrated: {failure}"),
+            Self::NavigationEnded(why) => write!(f, "aligning anew, navigation cannot go on: {why}"),
             Self::Fault(fault) => write!(f, "fault {}: {fault}", fault.name()),
             Self::Retry { attempt } => write!(f, "starting again, attempt {attempt}"),
             Self::Latched => f.write_str("fault latched: reset it by command"),
@@ -233,18 +370,55 @@ impl fmt::Display for Event {
     }
 }
 
-impl Event {
-    /// Tells it, at the level of its kind.
-    pub fn emit(&self) {
+/// How grave an event is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[allow(missing_docs, reason = "as everywhere")]
+pub enum Level {
+    Error,
+    Warn,
+    Info,
+    Debug,
+}
+
+impl Level {
+    /// All there are, the gravest first.
+    pub const ALL: [Self; 4] = [Self::Error, Self::Warn, Self::Info, Self::Debug];
+
+    /// As it is typed.
+    pub const fn name(self) -> &'static str {
         match self {
-            Self::Fault(_) | Self::Latched => line!(error, "{}", self),
-            Self::Retry { .. } | Self::Overrun { .. } | Self::Refused { .. } | Self::Transfer(_) => {
-                line!(warn, "{}", self);
-            }
-            Self::Lost { .. } | Self::Repeated { .. } | Self::Alignment(Alignment::Bridged { .. }) => {
-                line!(debug, "{}", self);
-            }
-            _ => line!(info, "{}", self),
+            Self::Error => "error",
+            Self::Warn => "warn",
+            Self::Info => "info",
+            Self::Debug => "debug",
+        }
+    }
+}
+
+impl Event {
+    /// Its level.
+    pub const fn level(&self) -> Level {
+        match self {
+            Self::Fault(_) | Self::Latched => Level::Error,
+            Self::Retry { .. }
+            | Self::NotCalibrated(_)
+            | Self::NavigationEnded(_)
+            | Self::Overrun { .. }
+            | Self::Refused { .. }
+            | Self::Transfer(_) => Level::Warn,
+            Self::Lost { .. } | Self::Repeated { .. } | Self::Alignment(Alignment::Bridged { .. }) => Level::Debug,
+            _ => Level::Info,
+        }
+    }
+
+    /// Tells it, whatever the level.
+    pub(crate) fn emit(&self) {
+        match self.level() {
+            Level::Error => line!(error, "{}", self),
+            Level::Warn => line!(warn, "{}", self),
+            Level::Info => line!(info, "{}", self),
+            Level::Debug => line!(debug, "{}", self),
         }
     }
 }

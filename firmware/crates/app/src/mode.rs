@@ -2,22 +2,26 @@
 //! and an input and gives a state and actions; the supervisor carries them out.
 //!
 //! ```text
-//!  start            imu, encoder, gravity        calibrated, homed                sd small
-//!  ───────► SelfTest ───────────────► Homing ───────────────► Coarse ─► Fine ◄──────────► Aligned
-//!              ▲                                    ▲           ▲ restart │                  │
-//!              │ Align, retry                       │           └─────────┴──────────────────┘
-//!  Idle ───────┤                                    │ Align (again)
-//!   ▲ Stop     │ ResetFault, time                   any ── fault ─► Fault
-//!   any        └──────────────────────────────────────────────────────┘
+//!  start            imu, encoder, gravity     calibrated, homed                sd small            Navigate
+//!  ───────► SelfTest ──────────────► Homing ─────────────► Coarse ─► Fine ◄──────────► Aligned ──────────► Navigating
+//!              ▲  │ SelfTest            │                    ▲ ▲        │                 │  │ Calibrate        │
+//!              │  ▼                     │ Calibrate          │ └────────┴─── restart ─────┘  │                  │
+//!  Idle ───────┘ Idle                   └────────────────────┼──► Calibrating ◄─────────────┘                  │
+//!   ▲  ▲  Align, Calibrate, SelfTest                         │        │ done, failed                           │
+//!   │  └─────────────────────────────────────────────────────┼────────┘                                        │
+//!   │ Stop                                                   └──────────────────────── Align, cannot go on ────┘
+//!  any                              any ── fault ─► Fault ── ResetFault, time ─► SelfTest
 //! ```
 //!
-//! `Calibrating` is a place for the calibration of the IMU: the rotor stands, samples flow, nobody aligns.
+//! Calibrating is a rest, then turns forth and back. From Aligned attitude and heading are known, so that Earth's rate
+//! is told from the gyros' biases; from Idle it is not, and only what goes with the rotor's rate is kept.
 
 use drivers::{Error, Identity};
 
 use crate::command::{Command, ModeName};
+use crate::console;
 use crate::fault::{Fault, Response};
-use crate::log::{Alignment, Event};
+use crate::log::{Alignment, CalibrationFailure, Event, GyrosCalibrated, NavigationEnd};
 use crate::rotor;
 use crate::selftest::{Failure, Found};
 
@@ -25,6 +29,8 @@ use crate::selftest::{Failure, Found};
 pub const SELF_TEST_US: u64 = 10_000_000;
 /// Longest calibration and homing, µs: 3 s of rest, 5 s of sweep, half a turn at 15 °/s.
 pub const HOMING_US: u64 = 60_000_000;
+/// Longest calibration of the gyros, µs: coming to rest, a minute there, four legs of 18 s.
+pub const CALIBRATING_US: u64 = 300_000_000;
 /// Aligned for so long, earlier faults are forgiven, µs.
 pub const FORGIVEN_US: u64 = 60_000_000;
 
@@ -38,6 +44,13 @@ pub enum Job {
     Inspect,
     /// Align, from the beginning.
     Align,
+    /// Calibrate the gyros, once the rotor stands.
+    Calibrate {
+        /// The estimate still holds: Earth's rate in the housing is known.
+        aligned: bool,
+    },
+    /// Go on from what the alignment knows.
+    Navigate,
 }
 
 /// Something that happened.
@@ -65,6 +78,12 @@ pub enum Input {
     },
     /// The aligner told something.
     Alignment(Alignment),
+    /// The gyros have been watched at rest for long enough.
+    Rested,
+    /// The gyros are calibrated, or not.
+    GyrosCalibrated(Result<GyrosCalibrated, CalibrationFailure>),
+    /// Navigation cannot go on.
+    NavigationEnded(NavigationEnd),
     /// A fault was found.
     Fault(Fault),
     /// A command came.
@@ -135,6 +154,27 @@ pub struct Faulted {
     pub latched: bool,
 }
 
+/// How far the calibration of the gyros is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Calibrating {
+    /// The rotor stands.
+    Resting,
+    /// It turns forth and back.
+    Turning,
+}
+
+/// What self-test and homing lead to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Goal {
+    /// Alignment.
+    #[default]
+    Align,
+    /// Calibration of the gyros.
+    Calibrate,
+    /// Nothing, after the self-test.
+    Rest,
+}
+
 /// What the unit does, with what belongs to it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Mode {
@@ -144,14 +184,16 @@ pub enum Mode {
     SelfTest(SelfTest),
     /// Calibrates the motor and finds the turn.
     Homing(Homing),
-    /// Calibrates the IMU.
-    Calibrating,
+    /// Calibrates the gyros.
+    Calibrating(Calibrating),
     /// Coarse alignment.
     Coarse,
     /// Fine alignment.
     Fine,
     /// Heading is good; keeps tracking.
     Aligned,
+    /// Dead reckoning from where it was aligned.
+    Navigating,
     /// Motor off.
     Fault(Faulted),
 }
@@ -163,10 +205,11 @@ impl Mode {
             Self::Idle => ModeName::Idle,
             Self::SelfTest(_) => ModeName::SelfTest,
             Self::Homing(_) => ModeName::Homing,
-            Self::Calibrating => ModeName::Calibrating,
+            Self::Calibrating(_) => ModeName::Calibrating,
             Self::Coarse => ModeName::Coarse,
             Self::Fine => ModeName::Fine,
             Self::Aligned => ModeName::Aligned,
+            Self::Navigating => ModeName::Navigating,
             Self::Fault(_) => ModeName::Fault,
         }
     }
@@ -197,6 +240,10 @@ pub struct State {
     pub since_us: u64,
     /// Starts after faults since the last that led to something.
     pub attempts: u8,
+    /// What the start is for.
+    pub goal: Goal,
+    /// Asked to start the program anew.
+    pub restarts: bool,
 }
 
 impl Default for State {
@@ -205,6 +252,8 @@ impl Default for State {
             mode: Mode::Idle,
             since_us: 0,
             attempts: 0,
+            goal: Goal::Align,
+            restarts: false,
         }
     }
 }
@@ -232,7 +281,8 @@ impl State {
 
     /// Whether the watchdog is to be left to bite.
     pub fn wants_reset(&self) -> bool {
-        matches!(self.mode, Mode::Fault(Faulted { fault, .. }) if fault.rule().response == Response::Reset)
+        self.restarts
+            || matches!(self.mode, Mode::Fault(Faulted { fault, .. }) if fault.rule().response == Response::Reset)
     }
 
     /// The state after `input` at `now_us`, and what is to be done. Time of a mode begins when it is entered;
@@ -241,12 +291,13 @@ impl State {
         let mut actions = Actions::new();
         let a = &mut actions;
         let in_mode_us = now_us.saturating_sub(self.since_us);
-        let mut attempts = self.attempts;
+        let (mut attempts, mut goal, mut restarts) = (self.attempts, self.goal, self.restarts);
         let mode = match (self.mode, *input) {
             (mode, Input::Fault(fault)) => fault_in(mode, fault, attempts, a),
-            (mode, Input::Command(command)) => match command_in(mode, command, a) {
+            (mode, Input::Command(command)) => match command_in(mode, command, &mut goal, a) {
                 Some(mode) => {
                     attempts = 0;
+                    restarts |= command == Command::Restart;
                     mode
                 }
                 None => mode,
@@ -259,7 +310,7 @@ impl State {
             (Mode::SelfTest(test), Input::Imu(Ok(identity))) => {
                 act(a, Action::Tell(Event::Imu(identity)));
                 act(a, Action::Job(Job::Inspect));
-                tested(SelfTest { imu: true, ..test }, a)
+                tested(SelfTest { imu: true, ..test }, goal, a)
             }
             (Mode::SelfTest(test), Input::Encoder(Ok(knows))) => {
                 act(a, Action::Tell(Event::Encoder));
@@ -268,6 +319,7 @@ impl State {
                         encoder: Some(knows),
                         ..test
                     },
+                    goal,
                     a,
                 )
             }
@@ -278,6 +330,7 @@ impl State {
                         inspected: true,
                         ..test
                     },
+                    goal,
                     a,
                 )
             }
@@ -293,11 +346,11 @@ impl State {
 
             (Mode::Homing(Homing::Calibrating { homed }), Input::Calibrated { offset }) => {
                 act(a, Action::Tell(Event::Calibrated { offset }));
-                if homed { running(a) } else { search(a) }
+                if homed { homed_for(goal, a) } else { search(a) }
             }
             (Mode::Homing(Homing::Searching), Input::Homed { angle }) => {
                 act(a, Action::Tell(Event::Homed { angle }));
-                running(a)
+                homed_for(goal, a)
             }
             (Mode::Homing(_), Input::Tick) if in_mode_us > HOMING_US => {
                 fault_in(self.mode, Fault::RotorRefused(rotor::Refused::Busy), attempts, a)
@@ -306,6 +359,30 @@ impl State {
             (mode @ (Mode::Coarse | Mode::Fine | Mode::Aligned), Input::Alignment(told)) => {
                 act(a, Action::Tell(Event::Alignment(told)));
                 aligning(mode, told)
+            }
+            (Mode::Calibrating(Calibrating::Resting), Input::Rested) => {
+                act(a, Action::Rotor(rotor::Command::Run));
+                Mode::Calibrating(Calibrating::Turning)
+            }
+            (Mode::Calibrating(Calibrating::Turning), Input::GyrosCalibrated(Ok(found))) => {
+                act(a, Action::Tell(Event::GyrosCalibrated(found)));
+                goal = Goal::Align;
+                rest(a)
+            }
+            (Mode::Calibrating(_), Input::GyrosCalibrated(Err(failure))) => {
+                act(a, Action::Tell(Event::NotCalibrated(failure)));
+                goal = Goal::Align;
+                rest(a)
+            }
+            (Mode::Calibrating(_), Input::Tick) if in_mode_us > CALIBRATING_US => {
+                act(a, Action::Tell(Event::NotCalibrated(CalibrationFailure::Timeout)));
+                goal = Goal::Align;
+                rest(a)
+            }
+            (Mode::Navigating, Input::NavigationEnded(why)) => {
+                act(a, Action::Tell(Event::NavigationEnded(why)));
+                act(a, Action::Job(Job::Align));
+                Mode::Coarse
             }
             (Mode::Aligned, Input::Tick) => {
                 if in_mode_us > FORGIVEN_US {
@@ -336,6 +413,8 @@ impl State {
                 mode,
                 since_us,
                 attempts,
+                goal,
+                restarts,
             },
             actions,
         )
@@ -351,7 +430,7 @@ fn self_test(a: &mut Actions) -> Mode {
     Mode::SelfTest(SelfTest::default())
 }
 
-fn tested(test: SelfTest, a: &mut Actions) -> Mode {
+fn tested(test: SelfTest, goal: Goal, a: &mut Actions) -> Mode {
     let SelfTest {
         imu: true,
         encoder: Some(knows),
@@ -361,6 +440,7 @@ fn tested(test: SelfTest, a: &mut Actions) -> Mode {
         return Mode::SelfTest(test);
     };
     match knows {
+        _ if goal == Goal::Rest => rest(a),
         RotorKnows {
             calibrated: false,
             homed,
@@ -369,7 +449,25 @@ fn tested(test: SelfTest, a: &mut Actions) -> Mode {
             Mode::Homing(Homing::Calibrating { homed })
         }
         RotorKnows { homed: false, .. } => search(a),
-        RotorKnows { .. } => running(a),
+        RotorKnows { .. } => homed_for(goal, a),
+    }
+}
+
+fn rest(a: &mut Actions) -> Mode {
+    act(a, Action::Rotor(rotor::Command::Stop));
+    act(a, Action::Job(Job::Idle));
+    Mode::Idle
+}
+
+/// The turn is known: on to what the start was for.
+fn homed_for(goal: Goal, a: &mut Actions) -> Mode {
+    match goal {
+        Goal::Align => running(a),
+        Goal::Calibrate => {
+            act(a, Action::Job(Job::Calibrate { aligned: false }));
+            Mode::Calibrating(Calibrating::Resting)
+        }
+        Goal::Rest => rest(a),
     }
 }
 
@@ -430,43 +528,54 @@ fn fault_in(mode: Mode, fault: Fault, attempts: u8, a: &mut Actions) -> Mode {
 }
 
 /// The mode a command leads to; `None` where it makes no sense.
-fn command_in(mode: Mode, command: Command, a: &mut Actions) -> Option<Mode> {
-    let next = match (mode, command) {
-        (Mode::Fault(Faulted { fault, .. }), Command::ResetFault) if fault.rule().response != Response::Reset => {
-            act(a, Action::Tell(Event::Command(command)));
-            self_test(a)
-        }
-        (Mode::Fault(_), _) | (_, Command::ResetFault) => {
-            let mode = mode.name();
-            act(a, Action::Tell(Event::Refused { command, mode }));
-            return None;
+fn command_in(mode: Mode, command: Command, goal: &mut Goal, a: &mut Actions) -> Option<Mode> {
+    if !takes(mode, command) {
+        let mode = mode.name();
+        act(a, Action::Tell(Event::Refused { command, mode }));
+        return None;
+    }
+    act(a, Action::Tell(Event::Command(command)));
+    Some(match (mode, command) {
+        (_, Command::Restart) => {
+            // The motor first: the watchdog takes its time.
+            act(a, Action::Cut);
+            mode
         }
         (_, Command::Stop) => {
-            act(a, Action::Tell(Event::Command(command)));
+            *goal = Goal::Align;
+            rest(a)
+        }
+        (Mode::Aligned, Command::Calibrate) => {
             act(a, Action::Rotor(rotor::Command::Stop));
-            act(a, Action::Job(Job::Idle));
-            Mode::Idle
+            act(a, Action::Job(Job::Calibrate { aligned: true }));
+            Mode::Calibrating(Calibrating::Resting)
         }
-        (Mode::Idle | Mode::Calibrating, Command::Align) => {
-            act(a, Action::Tell(Event::Command(command)));
-            self_test(a)
+        (_, Command::Navigate) => {
+            act(a, Action::Job(Job::Navigate));
+            Mode::Navigating
         }
-        (Mode::Coarse | Mode::Fine | Mode::Aligned, Command::Align) => {
-            act(a, Action::Tell(Event::Command(command)));
+        (Mode::Coarse | Mode::Fine | Mode::Aligned | Mode::Navigating, Command::Align) => {
             act(a, Action::Job(Job::Align));
             Mode::Coarse
         }
-        (Mode::Idle, Command::Calibrate) => {
-            act(a, Action::Tell(Event::Command(command)));
-            Mode::Calibrating
+        (_, Command::Align | Command::Calibrate | Command::SelfTest | Command::ResetFault) => {
+            *goal = match command {
+                Command::Calibrate => Goal::Calibrate,
+                Command::SelfTest => Goal::Rest,
+                _ => Goal::Align,
+            };
+            self_test(a)
         }
-        (Mode::SelfTest(_) | Mode::Homing(_), Command::Align) | (_, Command::Calibrate) => {
-            let mode = mode.name();
-            act(a, Action::Tell(Event::Refused { command, mode }));
-            return None;
-        }
-    };
-    Some(next)
+    })
+}
+
+/// Whether a command makes sense in a mode.
+fn takes(mode: Mode, command: Command) -> bool {
+    match mode {
+        // The reset that such a fault waits for is about to come.
+        Mode::Fault(Faulted { fault, .. }) if fault.rule().response == Response::Reset => false,
+        _ => console::taken(mode.name(), command),
+    }
 }
 
 #[cfg(test)]
@@ -482,6 +591,15 @@ mod tests {
         gravity: 9.8,
         rate: 0.0,
         rate_sd: 0.0,
+    };
+
+    const GYROS: GyrosCalibrated = GyrosCalibrated {
+        bias_deg_h: [1.0, 2.0, 3.0],
+        biases_used: true,
+        misalignment_arcmin: [0.1, 0.2],
+        scale_factor_ppm: 100.0,
+        bias_sd_deg_h: 0.1,
+        column_sd_ppm: 10.0,
     };
 
     fn knows(calibrated: bool, homed: bool) -> Input {
@@ -568,15 +686,35 @@ mod tests {
         let searching = Mode::Homing(Homing::Searching);
         let calibrating = |homed| Mode::Homing(Homing::Calibrating { homed });
         let command = Input::Command;
+        let [resting, turning] = [Calibrating::Resting, Calibrating::Turning].map(Mode::Calibrating);
+        let moved = CalibrationFailure::RotorMoved;
         use Alignment::{Aligned, Bridged, Inconsistent, RestartedDiverged, RestartedGap};
         for (row, (mode, input, expected)) in [
             (Mode::Idle, Input::Start, test),
             (Mode::Idle, command(Command::Align), test),
-            (Mode::Idle, command(Command::Calibrate), Mode::Calibrating),
+            (Mode::Idle, command(Command::Calibrate), test),
+            (Mode::Idle, command(Command::SelfTest), test),
+            (Mode::Idle, command(Command::Navigate), Mode::Idle),
             (Mode::Idle, command(Command::ResetFault), Mode::Idle),
             (Mode::Idle, Input::Imu(Ok(IDENTITY)), Mode::Idle),
-            (Mode::Calibrating, command(Command::Stop), Mode::Idle),
-            (Mode::Calibrating, command(Command::Align), test),
+            (resting, command(Command::Stop), Mode::Idle),
+            (resting, command(Command::Align), test),
+            (resting, Input::Rested, turning),
+            (resting, Input::GyrosCalibrated(Ok(GYROS)), resting),
+            (resting, Input::GyrosCalibrated(Err(moved)), Mode::Idle),
+            (turning, Input::GyrosCalibrated(Ok(GYROS)), Mode::Idle),
+            (turning, Input::GyrosCalibrated(Err(moved)), Mode::Idle),
+            (turning, Input::Rested, turning),
+            (turning, Input::Fault(crc), fault(crc, false)),
+            (
+                Mode::Navigating,
+                Input::NavigationEnded(NavigationEnd::Lost),
+                Mode::Coarse,
+            ),
+            (Mode::Navigating, command(Command::Align), Mode::Coarse),
+            (Mode::Navigating, command(Command::Stop), Mode::Idle),
+            (Mode::Navigating, command(Command::Navigate), Mode::Navigating),
+            (Mode::Navigating, Input::Alignment(Aligned), Mode::Navigating),
             (test, command(Command::Align), test),
             (test, command(Command::Stop), Mode::Idle),
             (nearly(false, false), Input::Inspected(Ok(FOUND)), calibrating(false)),
@@ -606,7 +744,10 @@ mod tests {
             ),
             (Mode::Aligned, command(Command::Align), Mode::Coarse),
             (Mode::Aligned, command(Command::Stop), Mode::Idle),
-            (Mode::Aligned, command(Command::Calibrate), Mode::Aligned),
+            (Mode::Aligned, command(Command::Calibrate), resting),
+            (Mode::Fine, command(Command::Calibrate), Mode::Fine),
+            (Mode::Aligned, command(Command::Navigate), Mode::Navigating),
+            (Mode::Fine, command(Command::Navigate), Mode::Fine),
             (Mode::Idle, Input::Alignment(Aligned), Mode::Idle),
             (Mode::Aligned, Input::Fault(crc), fault(crc, false)),
             (Mode::Aligned, Input::Fault(clock), fault(clock, true)),
@@ -633,10 +774,11 @@ mod tests {
             Mode::Idle,
             Mode::SelfTest(SelfTest::default()),
             Mode::Homing(Homing::Searching),
-            Mode::Calibrating,
+            Mode::Calibrating(Calibrating::Turning),
             Mode::Coarse,
             Mode::Fine,
             Mode::Aligned,
+            Mode::Navigating,
             Mode::Fault(Faulted {
                 fault: Fault::Driver,
                 latched: true,
@@ -682,6 +824,58 @@ mod tests {
         ));
         let (state, _) = in_mode(Mode::Homing(Homing::Searching)).step(&Input::Tick, HOMING_US + 1);
         assert_eq!(state.mode.name(), ModeName::Fault);
+    }
+
+    #[test]
+    fn a_start_leads_to_what_it_is_for() {
+        let tested = [
+            knows(true, false),
+            Input::Imu(Ok(IDENTITY)),
+            Input::Inspected(Ok(FOUND)),
+        ];
+        let (state, done) = run(in_mode(Mode::Idle), &[Input::Command(Command::SelfTest)]);
+        assert!(!done.contains(&Action::Rotor(rotor::Command::Run)));
+        let (state, done) = run(state, &tested);
+        assert_eq!(state.mode, Mode::Idle);
+        assert!(
+            !done
+                .iter()
+                .any(|action| matches!(action, Action::Rotor(command) if *command != rotor::Command::Stop))
+        );
+
+        let (state, _) = run(in_mode(Mode::Idle), &[Input::Command(Command::Calibrate)]);
+        let (state, _) = run(state, &tested);
+        let (state, done) = run(state, &[Input::Homed { angle: 0.0 }, Input::Rested]);
+        assert_eq!(state.mode, Mode::Calibrating(Calibrating::Turning));
+        assert_eq!(
+            done,
+            [
+                Action::Job(Job::Calibrate { aligned: false }),
+                Action::Rotor(rotor::Command::Run)
+            ]
+        );
+        // A fault on the way starts it again; once done, a start leads to alignment.
+        let (again, _) = run(state, &[Input::Fault(Fault::Driver), Input::Tick, Input::Tick]);
+        assert_eq!((again.mode.name(), again.goal), (ModeName::SelfTest, Goal::Calibrate));
+        let (state, done) = run(state, &[Input::GyrosCalibrated(Ok(GYROS))]);
+        assert_eq!((state.mode, state.goal), (Mode::Idle, Goal::Align));
+        assert_eq!(done, [Action::Rotor(rotor::Command::Stop), Action::Job(Job::Idle)]);
+    }
+
+    #[test]
+    fn a_calibration_that_never_ends_does() {
+        let state = in_mode(Mode::Calibrating(Calibrating::Resting));
+        assert_eq!(state.step(&Input::Tick, CALIBRATING_US).0.mode, state.mode);
+        assert_eq!(state.step(&Input::Tick, CALIBRATING_US + 1).0.mode, Mode::Idle);
+    }
+
+    #[test]
+    fn a_restart_cuts_the_motor_and_starves_the_watchdog() {
+        for mode in [Mode::Idle, Mode::Aligned, Mode::Navigating] {
+            let (state, actions) = in_mode(mode).step(&Input::Command(Command::Restart), 1);
+            assert!(actions.contains(&Action::Cut) && state.wants_reset());
+            assert!(state.step(&Input::Tick, 2).0.wants_reset());
+        }
     }
 
     #[test]

@@ -141,6 +141,7 @@ where
         match (before, Doing::of(rotor.state())) {
             (Doing::Calibrating, Doing::Off) => {
                 if let Some(offset) = rotor.electrical_offset() {
+                    shared.change(|settings| settings.encoder.electrical_offset = Some(offset));
                     shared.tell(Input::Calibrated { offset });
                 }
             }

@@ -6,6 +6,8 @@
 //! | `$HEHDT` | true heading | not sent |
 //! | `$HEROT` | rate of turn, °/min, to port negative | rate empty, V |
 //! | `$PASHR` | heading, roll, pitch, their σ | all empty but the two flags, as in the layout's source |
+//! | `$HEGLL` | place by dead reckoning | not sent |
+//! | `$HEVTG` | course and speed by dead reckoning | not sent |
 //! | `$PRNST` | the unit's own: mode, σ, fault, rotor | fields empty one by one |
 //! | `$PRNSA` | the unit's own: answer to a command | |
 //!
@@ -18,7 +20,7 @@
 //! Sources: IEC 61162-1:2016 for THS, HDT, ROT, check sum and length; NovAtel's OEM7 manual, log PASHR, for that one.
 
 use frames::units::DEG;
-use frames::{Attitude, AttitudeSd};
+use frames::{Attitude, AttitudeSd, math};
 use heapless::Vec;
 
 use crate::command::ModeName;
@@ -149,6 +151,58 @@ pub fn pashr(attitude: Option<(&Attitude, &AttitudeSd)>, aligned: bool) -> Sente
     line.end()
 }
 
+/// The place, rad, by dead reckoning from where the unit was aligned: mode E, and therefore status V. No sentence for a
+/// place that is not finite. Time stays empty.
+///
+/// Ten-thousandths of a minute are 0.2 m; an `f32` of 180° is good to eight of them.
+pub fn gll(latitude: f32, longitude: f32) -> Option<Sentence> {
+    let mut line = Line::start("$HEGLL");
+    for (angle, most, letters) in [(latitude, 90, b"NS"), (longitude, 180, b"EW")] {
+        let scaled = rounded(degrees(angle) * 600_000.0)?;
+        let size = scaled.unsigned_abs().min(most * 600_000);
+        line.comma();
+        let whole = size / 600_000;
+        if most > 90 {
+            line.push(b'0' + (whole / 100) as u8);
+        }
+        line.push(b'0' + (whole / 10 % 10) as u8);
+        line.push(b'0' + (whole % 10) as u8);
+        let minutes = size % 600_000;
+        if minutes < 100_000 {
+            line.push(b'0');
+        }
+        line.number(minutes, 4);
+        line.letter(letters[usize::from(scaled < 0)]);
+    }
+    line.comma(); // time
+    line.letter(b'V');
+    line.letter(b'E');
+    Some(line.end())
+}
+
+/// Course and speed over ground by dead reckoning, of a velocity to east and north, m/s; no sentence where it is not
+/// finite. Below 0.1 m/s there is no course.
+pub fn vtg(east: f32, north: f32) -> Option<Sentence> {
+    let speed = Some(math::hypot(east, north)).filter(|speed| speed.is_finite())?;
+    let [knots, km_h] = [3600.0 / 1852.0, 3.6].map(|scale| rounded((speed * scale).min(9999.0) * 100.0));
+    let course = hundredths_of_turn(math::atan2(east, north))?;
+    let mut line = Line::start("$HEVTG");
+    line.comma();
+    if speed >= 0.1 {
+        line.fixed(course, 2, false);
+    }
+    line.letter(b'T');
+    line.comma();
+    line.letter(b'M');
+    for (speed, unit) in [(knots?, b'N'), (km_h?, b'K')] {
+        line.comma();
+        line.fixed(speed, 2, false);
+        line.letter(unit);
+    }
+    line.letter(b'E');
+    Some(line.end())
+}
+
 /// What the status sentence tells.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Report {
@@ -208,14 +262,8 @@ pub const ANSWER: usize = BODY - "$PRNSA,error,".len();
 
 /// An answer to a command. What is reserved in a field becomes a blank, what does not fit is left out.
 pub fn answer(ok: bool, text: &str) -> Sentence {
-    let mut line = Line::start("$PRNSA");
-    line.comma();
-    line.text(if ok { "ok" } else { "error" });
-    line.comma();
-    for byte in text.bytes() {
-        let reserved = !matches!(byte, b' '..=b'}') || b"!$*,\\^".contains(&byte);
-        line.push(if reserved { b' ' } else { byte });
-    }
+    let mut line = Line::answer(ok);
+    line.words(text);
     line.end()
 }
 
@@ -264,9 +312,36 @@ fn up(sd: f32) -> Option<i32> {
 /// nothing but an answer's text ever is.
 ///
 /// Not to be inlined: the sentences would be three times as large.
-struct Line(Vec<u8, LONGEST>);
+#[derive(Debug)]
+pub(crate) struct Line(Vec<u8, LONGEST>);
 
 impl Line {
+    /// The beginning of an answer; [`words`](Self::words) and numbers follow.
+    pub(crate) fn answer(ok: bool) -> Self {
+        let mut line = Self::start("$PRNSA");
+        line.comma();
+        line.text(if ok { "ok" } else { "error" });
+        line.comma();
+        line
+    }
+
+    /// Text for people: what is reserved in a field becomes a blank.
+    #[inline(never)]
+    pub(crate) fn words(&mut self, text: &str) {
+        for byte in text.bytes() {
+            let reserved = !matches!(byte, b' '..=b'}') || b"!$*,\\^".contains(&byte);
+            self.push(if reserved { b' ' } else { byte });
+        }
+    }
+
+    /// A number with so many decimals, four at the most for a number of four digits before the point.
+    pub(crate) fn decimal(&mut self, x: f32, decimals: usize) {
+        let scale = (0..decimals).fold(1.0, |scale, _| scale * 10.0);
+        if let Some(scaled) = rounded(x * scale) {
+            self.fixed(scaled, decimals, false);
+        }
+    }
+
     fn start(head: &str) -> Self {
         let mut line = Self(Vec::new());
         line.text(head);
@@ -330,7 +405,7 @@ impl Line {
 
     /// Check sum: exclusive or of all between `$` and `*`, in upper-case hex.
     #[inline(never)]
-    fn end(mut self) -> Sentence {
+    pub(crate) fn end(mut self) -> Sentence {
         let sum = self.0.iter().skip(1).fold(0, |sum, byte| sum ^ byte);
         let hex = |nibble: u8| nibble + if nibble < 10 { b'0' } else { b'A' - 10 };
         let _ = self
@@ -398,6 +473,25 @@ mod tests {
             pashr(Some((&attitude(305.3, -0.126, 0.054), &SD)), true).as_str(),
             "$PASHR,,305.30,T,+0.05,-0.13,,0.002,0.001,0.350,0,1*10\r\n"
         );
+    }
+
+    #[test]
+    fn places_and_speeds() {
+        // Check sums by another program.
+        assert_eq!(
+            gll(rad(40.1), rad(-8.500_01)).unwrap().as_str(),
+            "$HEGLL,4006.0000,N,00830.0006,W,,V,E*53\r\n"
+        );
+        assert_eq!(
+            gll(rad(-0.99), rad(100.5)).unwrap().as_str(),
+            "$HEGLL,0059.4000,S,10030.0000,E,,V,E*59\r\n"
+        );
+        assert_eq!(
+            vtg(-3.0, 4.0).unwrap().as_str(),
+            "$HEVTG,323.13,T,,M,9.72,N,18.00,K,E*16\r\n"
+        );
+        assert_eq!(fields(&vtg(0.05, 0.0).unwrap())[1], "");
+        assert_eq!((gll(f32::NAN, 0.0), vtg(0.0, f32::INFINITY)), (None, None));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The serial line's output task: estimates and status in, sentences of [`nmea`] out.
 //!
-//! A cycle is THS, HDT, ROT and PASHR in one write, with the status sentence once a second and at every change of
+//! A cycle is THS, HDT, ROT and PASHR in one write, GLL and VTG while the unit navigates, with the status sentence once a second and at every change of
 //! mode. It begins with an estimate: of 20 a second every other one starts a cycle, so that a heading is no older than
 //! its way through the task, and where the base swings by 10 °/s the 50 ms to the next estimate would be half a degree.
 //! Without estimates it begins by the clock.
@@ -9,8 +9,8 @@
 //!
 //! | THS | the unit | its estimate | HDT | PASHR |
 //! |---|---|---|---|---|
-//! | A | is aligned | ready | sent | in full, flag 1 |
-//! | E | aligned or aligns finely | fits the model; σ above the limit of the aligner, below [`OutputConfig::estimated_sd`] | absent | in full, flag 0 |
+//! | A | is aligned, or navigates | ready | sent | in full, flag 1 |
+//! | E | aligned, navigates, or aligns finely | fits the model; σ above the limit of the aligner, below [`OutputConfig::estimated_sd`] | absent | in full, flag 0 |
 //! | V | anything else | absent, ambiguous, inconsistent, or older than [`OutputConfig::fresh_ms`] | absent | empty, flag 0 |
 //!
 //! HDT has no word for doubt, therefore it comes with A only. M and S are never sent.
@@ -28,12 +28,12 @@
 //!
 //! # Budget
 //!
-//! Five sentences of 82 bytes and two for a line's end are 412 bytes, 36 % of the 1152 that 115200 baud carry in
-//! 100 ms. In fact it is 120, and 165 once a second.
+//! Seven sentences of 82 bytes and two for a line's end are 576 bytes, 50 % of the 1152 that 115200 baud carry in
+//! 100 ms. In fact it is 120, and 165 once a second; 80 more while the unit navigates.
 //!
 //! A writer that fails or stalls costs its cycle, and is counted; the task goes on. Nothing waits for it.
 
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use embassy_futures::select::{Either3, select3};
 use embassy_sync::blocking_mutex::raw::RawMutex;
@@ -44,6 +44,7 @@ use frames::math;
 use frames::units::DEG;
 use heapless::Vec;
 use nav::aligner::{Estimate, NotReady};
+use nav::navigator::Track;
 
 use crate::command::ModeName;
 use crate::mode::Status;
@@ -53,7 +54,7 @@ use crate::shared::{Navigation, Shared};
 /// Answers that wait for the line.
 pub const ANSWERS: usize = 4;
 /// Sentences of a cycle.
-const SENTENCES: usize = 5;
+const SENTENCES: usize = 7;
 /// Ends a line that broke off.
 const LINE_END: &[u8] = b"\r\n";
 /// Bytes of a cycle at the most.
@@ -68,7 +69,7 @@ const RATE_GAP_US: u64 = 250_000;
 /// | `period_ms` | ms | as fast as estimates come; refused by the line | 100 |
 /// | `status_every` | cycles | status at changes of mode only | 10 |
 /// | `fresh_ms` | ms | nothing is ever valid | 150: three estimates |
-/// | `write_ms` | ms | every write is given up | 80: twice the longest cycle's 36 |
+/// | `write_ms` | ms | every write is given up | 80: more than the longest cycle's 50 |
 /// | `estimated_sd` | rad | never E | 10° |
 /// | `rate_tau` | s | the median alone | 0.5 |
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -115,6 +116,8 @@ pub struct OutputCounts {
 /// What the tasks of one serial line share.
 pub struct Port<M: RawMutex> {
     answers: Channel<M, Sentence, ANSWERS>,
+    /// The status sentence is wanted with the next cycle.
+    status: AtomicBool,
     written: AtomicU32,
     failed: AtomicU32,
     stalled: AtomicU32,
@@ -131,6 +134,7 @@ impl<M: RawMutex> Port<M> {
     pub const fn new() -> Self {
         Self {
             answers: Channel::new(),
+            status: AtomicBool::new(false),
             written: AtomicU32::new(0),
             failed: AtomicU32::new(0),
             stalled: AtomicU32::new(0),
@@ -144,6 +148,11 @@ impl<M: RawMutex> Port<M> {
             failed: self.failed.load(Ordering::Relaxed),
             stalled: self.stalled.load(Ordering::Relaxed),
         }
+    }
+
+    /// Puts the status sentence into the next cycle.
+    pub fn status(&self) {
+        self.status.store(true, Ordering::Relaxed);
     }
 
     /// Puts an answer between the cycles. Waits while [`ANSWERS`] are ahead of it.
@@ -172,9 +181,9 @@ fn judge<'a>(
         return invalid;
     }
     match (status.mode, &navigation.not_ready) {
-        (ModeName::Aligned, None) => (HeadingMode::Autonomous, Some(estimate)),
+        (ModeName::Aligned | ModeName::Navigating, None) => (HeadingMode::Autonomous, Some(estimate)),
         // Either of the two may be told of a change before the other.
-        (ModeName::Aligned | ModeName::Fine, None | Some(NotReady::HeadingSd { .. }))
+        (ModeName::Aligned | ModeName::Navigating | ModeName::Fine, None | Some(NotReady::HeadingSd { .. }))
             if estimate.sd.heading <= config.estimated_sd =>
         {
             (HeadingMode::Estimated, Some(estimate))
@@ -339,7 +348,8 @@ pub async fn run<M: RawMutex, W: Write>(shared: &Shared<M>, port: &Port<M>, tx: 
         let now_us = Instant::now().as_micros();
         let status = shared.status.try_get();
         let mode = status.map(|status| status.mode);
-        let with_status = mode != shown || (config.status_every > 0 && cycles.is_multiple_of(config.status_every));
+        let due = config.status_every > 0 && cycles.is_multiple_of(config.status_every);
+        let with_status = port.status.swap(false, Ordering::Relaxed) || mode != shown || due;
         shown = mode;
         cycles = cycles.wrapping_add(1);
 
@@ -352,7 +362,7 @@ pub async fn run<M: RawMutex, W: Write>(shared: &Shared<M>, port: &Port<M>, tx: 
     }
 }
 
-/// THS, HDT, ROT, PASHR.
+/// THS, HDT, ROT, PASHR, GLL, VTG.
 #[inline(never)]
 fn compose(
     now_us: u64,
@@ -378,6 +388,14 @@ fn compose(
         estimate.map(|estimate| (&estimate.attitude, &estimate.sd)),
         good,
     ));
+    let track = navigation
+        .and_then(|at| at.track)
+        .filter(|_| mode != HeadingMode::Invalid);
+    if let Some(Track { v_n, position }) = track {
+        let place = nmea::gll(position.latitude, position.longitude);
+        let motion = nmea::vtg(v_n.x(), v_n.y());
+        place.iter().chain(&motion).for_each(put);
+    }
     bytes
 }
 
@@ -389,8 +407,12 @@ fn report<M: RawMutex>(
     navigation: Option<&Navigation>,
     config: &OutputConfig,
 ) -> Sentence {
-    let aligns =
-        status.is_some_and(|status| matches!(status.mode, ModeName::Coarse | ModeName::Fine | ModeName::Aligned));
+    let aligns = status.is_some_and(|status| {
+        matches!(
+            status.mode,
+            ModeName::Coarse | ModeName::Fine | ModeName::Aligned | ModeName::Navigating
+        )
+    });
     let navigation =
         navigation.filter(|at| aligns && now_us.saturating_sub(at.t_us) <= u64::from(config.fresh_ms) * 1000);
     let not_ready = navigation.and_then(|at| at.not_ready.as_ref());
@@ -419,6 +441,7 @@ mod tests {
 
     use super::*;
     use crate::fault::Fault;
+    use crate::settings::Settings;
 
     const D: f32 = DEG as f32;
 
@@ -444,6 +467,7 @@ mod tests {
                 accel_bias_sd: Vec3::zero(),
             }),
             not_ready,
+            track: None,
         }
     }
 
@@ -622,7 +646,7 @@ mod tests {
     /// A unit that is aligned, its estimates every `every_us`, at 0.1 rad/s; the output at work.
     fn bench(every_us: u64) -> Bench {
         let mut unit = Executor::new();
-        let shared = Rc::new(Shared::new());
+        let shared = Rc::new(Shared::new(Settings::default()));
         let port = Rc::new(Port::new());
         let line = Line(Rc::new(RefCell::new((String::new(), std::vec::Vec::new(), Now::Works))));
         shared.status.sender().send(status(ModeName::Aligned));

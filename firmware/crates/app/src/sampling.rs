@@ -337,7 +337,7 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
             Err(error) => {
                 shared.count(|counts| counts.transfers = counts.transfers.saturating_add(1));
                 if !self.raised {
-                    Event::Transfer(error).emit();
+                    shared.log(&Event::Transfer(error));
                 }
                 if let Some(fault) = self.monitor.failed(error) {
                     self.raise(fault);
@@ -361,12 +361,12 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
         let lost = match arrival {
             Arrival::Repeated => {
                 if !self.raised {
-                    Event::Repeated { tally }.emit();
+                    shared.log(&Event::Repeated { tally });
                 }
                 return;
             }
             Arrival::Lost(samples) => {
-                Event::Lost { samples, tally }.emit();
+                shared.log(&Event::Lost { samples, tally });
                 samples
             }
             Arrival::First | Arrival::Next | Arrival::Restarted => 0,
@@ -406,10 +406,9 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
             self.owed = 0.0;
         } else {
             self.owed += gap + dt;
-            Event::Overrun {
+            shared.log(&Event::Overrun {
                 samples: shared.sample_counts().overruns,
-            }
-            .emit();
+            });
         }
     }
 }

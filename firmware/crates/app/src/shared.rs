@@ -13,7 +13,7 @@
 //! fit is counted.
 
 use core::cell::{Cell, RefCell};
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 
 use drivers::Channels;
 use drivers::sequence::Tally;
@@ -25,11 +25,14 @@ use embassy_sync::watch::Watch;
 use embassy_time::Instant;
 use nav::aligner;
 use nav::increment::Sample;
+use nav::navigator::Track;
 
 use crate::command::Command;
 use crate::fault::{Fault, Task};
+use crate::log::{Event, Level};
 use crate::mode::{Input, Job, Status};
 use crate::rotor;
+use crate::settings::Settings;
 
 /// Samples that wait for the alignment: 158 ms at 202.4 a second, ten times its longest step.
 pub const SAMPLES: usize = 32;
@@ -82,10 +85,13 @@ pub struct Navigation {
     pub t_us: u64,
     /// Where the aligner stands.
     pub mode: aligner::Mode,
-    /// Attitude, heading, biases and their 1σ, once there are any.
+    /// Attitude of the housing, biases and their 1σ, once there are any; its angles are those of the vehicle, by the
+    /// mounting.
     pub estimate: Option<aligner::Estimate>,
     /// Why it is not to be relied on, if it is not.
     pub not_ready: Option<aligner::NotReady>,
+    /// Velocity and place, while the unit navigates.
+    pub track: Option<Track>,
 }
 
 /// The rotor's angle at one instant.
@@ -144,6 +150,7 @@ impl Angles {
 pub struct Shared<M: RawMutex> {
     samples: Channel<M, TimedSample, SAMPLES>,
     counts: Mutex<M, Cell<SampleCounts>>,
+    settings: Mutex<M, Cell<Settings>>,
     angles: Mutex<M, RefCell<Angles>>,
     pub(crate) inputs: Channel<M, Input, INPUTS>,
     /// Commands to the unit, from the serial line or a button.
@@ -156,6 +163,8 @@ pub struct Shared<M: RawMutex> {
     pub navigation: Watch<M, Navigation, READERS>,
     /// Mode and faults.
     pub status: Watch<M, Status, READERS>,
+    /// Levels of the log that are told, see [`Level::ALL`].
+    log_level: AtomicU8,
     inhibited: AtomicBool,
     /// Since when, µs.
     inhibited_us: Mutex<M, Cell<u64>>,
@@ -165,15 +174,9 @@ pub struct Shared<M: RawMutex> {
     check_ins: [AtomicU32; Task::ALL.len()],
 }
 
-impl<M: RawMutex> Default for Shared<M> {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl<M: RawMutex> Shared<M> {
     /// Nothing told yet; the motor inhibited.
-    pub const fn new() -> Self {
+    pub const fn new(settings: Settings) -> Self {
         Self {
             samples: Channel::new(),
             counts: Mutex::new(Cell::new(SampleCounts {
@@ -188,6 +191,7 @@ impl<M: RawMutex> Shared<M> {
                 overruns: 0,
                 saturated: 0,
             })),
+            settings: Mutex::new(Cell::new(settings)),
             angles: Mutex::new(RefCell::new(Angles {
                 ring: [AngleAt {
                     t_us: 0,
@@ -205,11 +209,26 @@ impl<M: RawMutex> Shared<M> {
             job: Signal::new(),
             navigation: Watch::new(),
             status: Watch::new(),
+            log_level: AtomicU8::new(Level::Debug as u8),
             inhibited: AtomicBool::new(true),
             inhibited_us: Mutex::new(Cell::new(0)),
             missed: Mutex::new(Cell::new(None)),
             check_ins: [const { AtomicU32::new(0) }; Task::ALL.len()],
         }
+    }
+
+    /// The settings as they are now; what is kept over a reset may be older.
+    pub fn settings(&self) -> Settings {
+        self.settings.lock(Cell::get)
+    }
+
+    /// Changes them. The alignment takes up place and calibration with its next job, the rest is taken up at the start.
+    pub fn change(&self, change: impl FnOnce(&mut Settings)) {
+        self.settings.lock(|cell| {
+            let mut settings = cell.get();
+            change(&mut settings);
+            cell.set(settings);
+        });
     }
 
     /// What became of the samples so far.
@@ -264,6 +283,18 @@ impl<M: RawMutex> Shared<M> {
 
     pub(crate) fn take_missed(&self) -> Option<Fault> {
         self.missed.lock(Cell::take)
+    }
+
+    /// Tells the log, where the event is grave enough for it.
+    pub(crate) fn log(&self, event: &Event) {
+        if event.level() as u8 <= self.log_level.load(Ordering::Relaxed) {
+            event.emit();
+        }
+    }
+
+    /// What the log tells from here on. On the target `DEFMT_LOG` of the build is a limit to it.
+    pub fn set_log_level(&self, level: Level) {
+        self.log_level.store(level as u8, Ordering::Relaxed);
     }
 
     /// Raises a fault from wherever it is found: the motor is inhibited before anything else happens. Also

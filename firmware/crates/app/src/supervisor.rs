@@ -115,6 +115,6 @@ fn carry_out<M: RawMutex>(shared: &Shared<M>, cutoff: &mut impl Cutoff, action: 
         Action::StartImu => shared.imu_start.signal(()),
         Action::StartEncoder => shared.encoder_start.signal(()),
         Action::Job(job) => shared.job.signal(job),
-        Action::Tell(event) => event.emit(),
+        Action::Tell(event) => shared.log(&event),
     }
 }

@@ -21,6 +21,8 @@
 //! Purely a function of the samples: no clock, no logging, fixed memory. The capacity `N` must hold
 //! `t_k2` at [`AlignerConfig::decimate_to`]; [`Aligner::new`] checks it.
 
+use core::mem::MaybeUninit;
+
 use frames::{Attitude, AttitudeSd, Body, Nav, Real, Rot, RotIntegral, Sensor, Vec3, math, units};
 use heapless::Deque;
 
@@ -30,6 +32,7 @@ use crate::{
     fine::{FilterConfig, FilterConfigError, FineFilter, Innovation},
     increment::{Compensator, Decimator, Increment, Sample},
     model::{ROBUST, WE},
+    navigator::HandOver,
     rotor::RotorConfig,
     strapdown::Strapdown,
     trust::Trust,
@@ -388,6 +391,20 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
     /// # Errors
     /// [`AlignerError`] says which figure is out of range.
     pub fn new(config: AlignerConfig<T, B>) -> Result<Self, AlignerError> {
+        Ok(Self::made(config, Self::check(&config)?))
+    }
+
+    /// The same in its place, which it never leaves: most of it is the queue, 34 kB that a stack need not hold.
+    ///
+    /// # Errors
+    /// [`AlignerError`] says which figure is out of range.
+    pub fn new_in(place: &mut MaybeUninit<Self>, config: AlignerConfig<T, B>) -> Result<&mut Self, AlignerError> {
+        let earth = Self::check(&config)?;
+        Ok(place.write(Self::made(config, earth)))
+    }
+
+    /// Checks the figures; Earth at the place.
+    fn check(config: &AlignerConfig<T, B>) -> Result<Earth<T>, AlignerError> {
         let earth = Earth::new(config.latitude, config.height).map_err(AlignerError::Earth)?;
         config.filter.validate().map_err(AlignerError::Filter)?;
         let zero = T::zero();
@@ -399,7 +416,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             longest_gap,
             ready_heading_sd,
             ..
-        } = config;
+        } = *config;
         let sane = |x: T| x.finite() && x >= zero;
         let times = [settle, t_k1, t_k2, decimate_to, longest_gap, ready_heading_sd];
         if !(times.into_iter().all(sane) && t_k1 > zero && t_k2 > t_k1 && decimate_to > zero) {
@@ -421,17 +438,22 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                 capacity: N as u32,
             });
         }
-        Ok(Self {
+        Ok(earth)
+    }
+
+    #[inline(always)]
+    fn made(config: AlignerConfig<T, B>, earth: Earth<T>) -> Self {
+        Self {
             config,
             earth,
             compensator: Compensator::new(),
-            decimator: Decimator::new(decimate_to),
+            decimator: Decimator::new(config.decimate_to),
             last: None,
             before_last: None,
             queue: Deque::new(),
-            stage: Stage::Settling { elapsed: zero },
+            stage: Stage::Settling { elapsed: T::zero() },
             c_sb: Rot::identity(),
-        })
+        }
     }
 
     /// Takes one sample and the rotor angle α at its end, rad.
@@ -700,13 +722,18 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
     }
 
     fn restart(&mut self, reason: Restart<T>) -> Event<T> {
+        self.start_anew();
+        Event::Restarted(reason)
+    }
+
+    /// Forgets all samples.
+    pub fn start_anew(&mut self) {
         self.compensator = Compensator::new();
         self.decimator = Decimator::new(self.config.decimate_to);
         self.last = None;
         self.before_last = None;
         self.queue.clear();
         self.stage = Stage::Settling { elapsed: T::zero() };
-        Event::Restarted(reason)
     }
 
     /// Where the aligner stands.
@@ -791,6 +818,33 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         })
     }
 
+    /// What navigation goes on from; `None` before the fine filter is at the present.
+    pub fn hand_over(&self) -> Option<HandOver<T>> {
+        let estimate = self.estimate()?;
+        let Stage::Fine { filter, .. } = &self.stage else {
+            return None;
+        };
+        let solution = filter.solution();
+        Some(HandOver {
+            estimate,
+            v_n: solution.v_n,
+            corrections: solution.corrections,
+            c_bs: self.c_sb.inverse(),
+        })
+    }
+
+    /// Sets the place and starts anew.
+    ///
+    /// # Errors
+    /// [`EarthError`] where it cannot be; nothing has changed then.
+    pub fn set_place(&mut self, latitude: T, height: T) -> Result<(), EarthError> {
+        self.earth = Earth::new(latitude, height)?;
+        self.config.latitude = latitude;
+        self.config.height = height;
+        self.start_anew();
+        Ok(())
+    }
+
     /// The last innovation of the fine filter, and the running mean of innovation²/variance per component.
     pub fn innovation(&self) -> Option<(Innovation<T>, T)> {
         let Stage::Fine { consistency, .. } = &self.stage else {
@@ -820,8 +874,19 @@ pub trait Align {
     fn estimate(&self) -> Option<Estimate>;
     /// [`Aligner::not_ready`].
     fn not_ready(&self) -> Option<NotReady>;
-    /// Longest time without data that is bridged, s.
-    fn longest_gap(&self) -> f32;
+    /// [`Aligner::hand_over`].
+    fn hand_over(&self) -> Option<HandOver>;
+    /// [`Aligner::start_anew`].
+    fn start_anew(&mut self);
+    /// [`Aligner::set_place`].
+    ///
+    /// # Errors
+    /// [`EarthError`].
+    fn set_place(&mut self, latitude: f32, height: f32) -> Result<(), EarthError>;
+    /// [`Aligner::earth`].
+    fn earth(&self) -> &Earth;
+    /// Heading 1σ below which the unit calls itself aligned, rad.
+    fn ready_heading_sd(&self) -> f32;
 }
 
 impl<const B: usize, const N: usize> Align for Aligner<f32, B, N> {
@@ -841,12 +906,37 @@ impl<const B: usize, const N: usize> Align for Aligner<f32, B, N> {
         self.not_ready()
     }
 
-    fn longest_gap(&self) -> f32 {
-        self.config.longest_gap
+    fn hand_over(&self) -> Option<HandOver> {
+        self.hand_over()
+    }
+
+    fn start_anew(&mut self) {
+        self.start_anew();
+    }
+
+    fn set_place(&mut self, latitude: f32, height: f32) -> Result<(), EarthError> {
+        self.set_place(latitude, height)
+    }
+
+    fn earth(&self) -> &Earth {
+        self.earth()
+    }
+
+    fn ready_heading_sd(&self) -> f32 {
+        self.config.ready_heading_sd
     }
 }
 
 impl Aligner {
+    /// [`Aligner::new_in`]; not generic, see [`as_align`](Self::as_align).
+    ///
+    /// # Errors
+    /// [`AlignerError`] says which figure is out of range.
+    #[inline(never)]
+    pub fn place(place: &mut MaybeUninit<Self>, config: AlignerConfig) -> Result<&mut Self, AlignerError> {
+        Self::new_in(place, config)
+    }
+
     /// The unit's aligner, as one that is run. Not generic, and so compiled with this crate: an image that is built for
     /// size still has its mathematics built for speed.
     #[inline(never)]

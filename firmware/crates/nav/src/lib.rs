@@ -12,7 +12,8 @@
 //!            sculling                                   replay, then live
 //! ```
 //!
-//! [`aligner::Aligner`] drives all of it; the parts stand alone.
+//! [`aligner::Aligner`] drives all of it; the parts stand alone. What is known at its end [`navigator::Navigator`] carries
+//! on, and [`calibration::Calibrator`] finds what the rotor adds to the gyros' errors.
 //!
 //! ```
 //! use frames::Vec3;
@@ -49,6 +50,7 @@ pub mod fine;
 pub mod increment;
 pub mod mechanization;
 pub mod model;
+pub mod navigator;
 pub mod noise;
 pub mod north;
 pub mod rotor;

@@ -49,6 +49,19 @@ impl<T: Real> Corrections<T> {
         // M is below 1e-2: that it acts on the measured turn and not on the true one is M² of it.
         bias + Vec3::from_vector(self.gyro_matrix * phi_s.vector())
     }
+
+    /// The increment as sensors without these errors would have measured it.
+    pub fn corrected(&self, increment: &Increment<T>) -> Increment<T> {
+        let half = T::lit(0.5);
+        let dt = increment.dt;
+        let gyro_error = self.gyro_error(increment.phi_s, dt);
+        let phi_s = increment.phi_s - gyro_error;
+        // The bias is constant in s while the increment is resolved in s at the start: half a turn back.
+        let bias_s = self.accel_bias_s + (phi_s * half).cross(self.accel_bias_s);
+        // The gyro error has turned the samples within the interval as well, by half of it in the mean.
+        let dv_s = increment.dv_s - gyro_error.cross(increment.dv_s) * half - bias_s * dt;
+        Increment { phi_s, dv_s, dt }
+    }
 }
 
 /// Attitude, velocity and displacement.
@@ -78,16 +91,9 @@ impl<T: Real> Strapdown<T> {
     /// Integrates one increment; returns `C_s^n` in the middle of it.
     pub fn advance(&mut self, increment: &Increment<T>, earth: &Earth<T>) -> Matrix3<T> {
         let half = T::lit(0.5);
-        let dt = increment.dt;
-        let gyro_error = self.corrections.gyro_error(increment.phi_s, dt);
-        let phi_s = increment.phi_s - gyro_error;
-        let accel_bias_s = self.corrections.accel_bias_s;
-        // The bias is constant in s while the increment is resolved in s at the start: half a turn back.
-        let bias_s = accel_bias_s + (phi_s * half).cross(accel_bias_s);
+        let Increment { phi_s, dv_s, dt } = self.corrections.corrected(increment);
         let earth_turn = earth.w_ie_n() * dt;
         let start = self.c_ns.get();
-        // The gyro error has turned the samples within the interval as well, by half of it in the mean.
-        let dv_s = increment.dv_s - gyro_error.cross(increment.dv_s) * half - bias_s * dt;
         let dv_n = start * dv_s;
         // n turns by half the interval's turn, in the mean, below the velocity change.
         let dv_n = dv_n - earth_turn.cross(dv_n) * half + earth.g_n() * dt;

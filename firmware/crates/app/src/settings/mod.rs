@@ -21,12 +21,13 @@ use core::f32::consts::{FRAC_PI_2, PI, TAU};
 
 use drivers::harmonics::{Harmonic, Harmonics};
 use frames::units::DEG;
-use frames::{Sensor, Vec3};
+use frames::{Attitude, Body, Nav, Rot, Sensor, Vec3};
 use nav::calibration::{Calibration, MAX_SCATTER};
 use nav::rotor::RotorConfig;
 
 use crate::motor::HARMONICS;
 use crate::output::OutputConfig;
+use crate::rotor::{self, MotorConfig};
 use codec::Codec;
 
 pub use codec::Invalid;
@@ -144,11 +145,13 @@ pub enum Source {
     Gnss,
 }
 
-/// A position, as much of it as an alignment needs.
+/// A position: an alignment needs latitude and height.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Position {
     /// Geodetic latitude, north positive, rad.
     pub latitude: f32,
+    /// Longitude, east positive, rad: for navigation only.
+    pub longitude: f32,
     /// Height above the ellipsoid, m.
     pub height: f32,
     /// Where it comes from.
@@ -159,6 +162,7 @@ impl Default for Position {
     fn default() -> Self {
         Self {
             latitude: deg(40.0),
+            longitude: 0.0,
             height: 0.0,
             source: Source::Default,
         }
@@ -175,6 +179,15 @@ pub struct Mounting {
     pub pitch: f32,
     /// Housing's right side below the vehicle's, rad.
     pub roll: f32,
+}
+
+impl Mounting {
+    /// Attitude of the vehicle whose housing has the attitude `c_nb`. Its 1σ are about those of the housing.
+    pub fn vehicle(&self, c_nb: &Rot<Nav, Body>) -> Attitude {
+        let Self { heading, pitch, roll } = *self;
+        let c_vb = Attitude { heading, pitch, roll }.to_rot();
+        Attitude::from_rot(&(*c_nb * c_vb.inverse()).relabel())
+    }
 }
 
 /// Where and how the unit is built in.
@@ -298,6 +311,33 @@ impl Settings {
         }
     }
 
+    /// The figures of a rotor built as `built`, with what the settings say of it.
+    pub fn rotor(&self, built: rotor::Config) -> rotor::Config {
+        rotor::Config {
+            encoder_zero: self.encoder.zero,
+            schedule: self.motion,
+            motor: MotorConfig {
+                electrical_offset: self.encoder.electrical_offset,
+                ..built.motor
+            },
+            ..built
+        }
+    }
+
+    /// Takes over one group of others.
+    pub fn take(&mut self, other: &Self, group: Group) {
+        match group {
+            Group::Identity => self.identity = other.identity,
+            Group::Installation => self.installation = other.installation,
+            Group::LastPosition => self.last_position = other.last_position,
+            Group::Motion => self.motion = other.motion,
+            Group::Output => self.output = other.output,
+            Group::Imu => self.imu = other.imu,
+            Group::Thermal => self.thermal = other.thermal,
+            Group::Encoder => self.encoder = other.encoder,
+        }
+    }
+
     /// Whether every value of a group can be.
     ///
     /// # Errors
@@ -391,6 +431,7 @@ impl Settings {
 fn position(position: &mut Position, c: &mut Codec<'_>) {
     // As nav::earth has them.
     c.number("latitude", &mut position.latitude, deg(-85.0), deg(85.0));
+    c.number("longitude", &mut position.longitude, -PI, PI);
     c.number("height", &mut position.height, -12_000.0, 30_000.0);
     let mut source = position.source as u8;
     c.byte("position source", &mut source, Source::Gnss as u8);

@@ -148,12 +148,16 @@ impl<F: NorFlash> Store<F> {
         Self { log: Log::new(flash) }
     }
 
-    /// What is saved. Whatever the flash holds, there are settings, every value in its range; the report says where
-    /// they come from.
+    /// What is saved, over the defaults. As [`load_over`](Self::load_over).
+    pub async fn load(&mut self) -> (Settings, Report) {
+        self.load_over(Settings::default()).await
+    }
+
+    /// What is saved, over `settings` that hold for what is not. Whatever the flash holds, there are settings, every
+    /// value in its range if those were; the report says where they come from.
     ///
     /// Writes nothing. Cancellation: safe.
-    pub async fn load(&mut self) -> (Settings, Report) {
-        let mut settings = Settings::default();
+    pub async fn load_over(&mut self, mut settings: Settings) -> (Settings, Report) {
         let mut report = Report {
             origins: [Origin::Default; GROUPS],
             damaged: 0,

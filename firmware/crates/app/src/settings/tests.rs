@@ -16,6 +16,7 @@ fn unusual() -> Settings {
         installation: Installation {
             position: Position {
                 latitude: -0.6,
+                longitude: 2.5,
                 height: 812.0,
                 source: Source::Operator,
             },
@@ -27,6 +28,7 @@ fn unusual() -> Settings {
         },
         last_position: Position {
             latitude: 0.9,
+            longitude: -1.5,
             height: -3.0,
             source: Source::Gnss,
         },
@@ -286,15 +288,7 @@ fn the_position_used() {
 fn usable(settings: &Settings) -> bool {
     let position = |p: &Position| nav::earth::Earth::new(p.latitude, p.height).is_ok();
     let Mounting { heading, pitch, roll } = settings.installation.mounting;
-    let config = rotor::Config {
-        encoder_zero: settings.encoder.zero,
-        schedule: settings.motion,
-        motor: rotor::MotorConfig {
-            electrical_offset: settings.encoder.electrical_offset,
-            ..rotor::MotorConfig::default()
-        },
-        ..rotor::Config::default()
-    };
+    let config = settings.rotor(rotor::Config::default());
     let calibrated = settings.imu.calibration.is_none_or(|c| {
         let column = c.k_xz.abs().max(c.k_yz.abs()).max(c.s_z.abs());
         c.bias_s.norm() < 0.2 && column < 0.1 && c.bias_sd >= 0.0 && c.column_sd >= 0.0 && c.scatter.is_finite()

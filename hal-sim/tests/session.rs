@@ -1,0 +1,211 @@
+//! Sessions with the whole unit: what is typed on its serial line, and what comes of it.
+#![allow(clippy::unwrap_used, reason = "the helpers of tests are tests")]
+
+use frames::units::{DEG, DEG_PER_HOUR, PPM};
+use hal_sim::align::Method;
+use hal_sim::bus::UartLine;
+use hal_sim::scenario::Scenario;
+use hal_sim::sensors::Imu;
+use hal_sim::unit_sim::{self, Observer, Typed, UnitResult};
+
+/// Answers of the unit, in order.
+#[derive(Default)]
+struct Answers(Vec<String>);
+
+impl Observer for Answers {
+    fn sentence(&mut self, line: &UartLine) {
+        let text = String::from_utf8_lossy(&line.bytes).into_owned();
+        if let Some(answer) = text.strip_prefix("$PRNSA,") {
+            self.0.push(answer.split('*').next().unwrap_or_default().to_owned());
+        }
+    }
+}
+
+fn session(scenario: &Scenario, seed: u64, seconds: f64, typed: &[&str]) -> (UnitResult, Vec<String>) {
+    let mut scenario = scenario.clone();
+    scenario.run.duration_s = seconds;
+    let typed: Vec<Typed> = typed.iter().map(|text| text.parse().unwrap()).collect();
+    let mut answers = Answers::default();
+    let result = unit_sim::run_session(&scenario, seed, Method::Robust, &typed, &mut answers).unwrap();
+    (result, answers.0)
+}
+
+fn modes(result: &UnitResult) -> Vec<&str> {
+    result.modes.iter().map(|at| at.mode).collect()
+}
+
+/// Gyros as they are bought: 1000 ppm and 3′.
+fn as_bought() -> Scenario {
+    let mut scenario = Scenario::builtin("static").unwrap();
+    scenario.imu.gyro_scale_factor_sd_ppm = 1000.0;
+    scenario.imu.gyro_misalignment_sd_arcmin = 3.0;
+    scenario
+}
+
+/// A minute at rest and 72 s of turns find the z column and the biases to what their 1σ say; to the biases' comes what
+/// the heading leaves of Earth's rate, 0.6° of 11.5 °/h.
+#[test]
+fn an_aligned_unit_calibrates_its_gyros() {
+    let scenario = as_bought();
+    let (mut column, mut bias, mut count) = (0.0, 0.0, 0.0);
+    for seed in 0..8 {
+        let (result, answers) = session(&scenario, seed, 300.0, &["160 calibrate"]);
+        assert_eq!(answers, ["ok,calibrating: keep the base still for 3 minutes"]);
+        assert_eq!(modes(&result)[5..], ["calibrating", "idle"], "{:?}", result.modes);
+        let found = result.settings.imu.calibration.unwrap();
+        let imu = Imu::new(&scenario, seed);
+        let (m, b) = (imu.gyro_matrix(), imu.gyro_bias_s());
+        for (found_k, k) in [found.k_xz, found.k_yz, found.s_z].into_iter().zip(m.column(2).iter()) {
+            let off = (f64::from(found_k) - k) / f64::from(found.column_sd);
+            assert!(off.abs() < 5.0, "seed {seed}: {:.1} ppm, {off:.1} sd", k / PPM);
+            column += off * off;
+        }
+        for (found_b, b) in found.bias_s.to_array().into_iter().zip(b.to_array()) {
+            let earth = 0.6 * DEG * 11.5 * DEG_PER_HOUR;
+            let off = (f64::from(found_b) - b) / f64::from(found.bias_sd).hypot(earth);
+            assert!(
+                off.abs() < 4.0,
+                "seed {seed}: {:.2} deg/h, {off:.1} sd",
+                b / DEG_PER_HOUR
+            );
+            bias += off * off;
+        }
+        count += 3.0;
+    }
+    // The z gyro's slope is also the encoder's, which its 1σ leaves out: 2 ppm of noise on 1440°.
+    let (column, bias) = (column / count, bias / count);
+    assert!(
+        (0.3..3.0).contains(&column) && (0.2..2.0).contains(&bias),
+        "{column:.2} {bias:.2}"
+    );
+}
+
+/// From rest Earth's rate is not known: what goes with the rotor's rate is kept, the biases are left.
+#[test]
+fn a_unit_that_rests_calibrates_the_column_only() {
+    let (result, answers) = session(&as_bought(), 3, 220.0, &["1 calibrate", "30 stop", "31 calibrate"]);
+    assert!(
+        answers[0].starts_with("error,only from rest or once aligned"),
+        "{answers:?}"
+    );
+    assert_eq!(
+        answers[1..],
+        [
+            "ok,the rotor stops",
+            "ok,calibrating: keep the base still for 3 minutes"
+        ]
+    );
+    assert_eq!(
+        modes(&result)[3..],
+        ["idle", "self-test", "calibrating", "idle"],
+        "{:?}",
+        result.modes
+    );
+    let found = result.settings.imu.calibration.unwrap();
+    assert_eq!(found.bias_s.norm(), 0.0);
+    let s_z = Imu::new(&as_bought(), 3).gyro_matrix()[(2, 2)];
+    assert!((f64::from(found.s_z) - s_z).abs() < 30.0 * PPM);
+}
+
+/// On a base that moves there is no calibration, and what was known before still holds.
+#[test]
+fn a_base_that_moves_is_no_place_to_calibrate() {
+    let scenario = Scenario::builtin("paper-turntable").unwrap();
+    let (result, _) = session(&scenario, 1, 320.0, &["150 calibrate"]);
+    assert!(modes(&result).ends_with(&["calibrating", "idle"]), "{:?}", result.modes);
+    assert_eq!(result.settings.imu.calibration, None);
+    assert!(result.faults.is_empty());
+}
+
+/// Saved settings are there after a restart, others are not; the electrical offset need not be found again.
+#[test]
+fn what_was_saved_outlives_a_restart() {
+    let scenario = Scenario::builtin("static").unwrap();
+    let typed = [
+        "20 set latitude 40.01",
+        "21 set longitude -8.5",
+        "22 save",
+        "23 set latitude 41",
+        "24 restart",
+    ];
+    let (result, answers) = session(&scenario, 2, 30.0, &typed);
+    assert_eq!(answers[2], "ok,saved");
+    assert_eq!(answers[4], "ok,restarting");
+    assert_eq!(result.resets, 1);
+    let place = result.settings.position();
+    assert!((f64::from(place.latitude) - 40.01 * DEG).abs() < 1e-6);
+    assert!((f64::from(place.longitude) + 8.5 * DEG).abs() < 1e-6);
+    let homing: Vec<f64> = result
+        .modes
+        .windows(2)
+        .filter(|pair| pair[0].mode == "homing")
+        .map(|pair| pair[1].t_s - pair[0].t_s)
+        .collect();
+    assert!(homing[1] < homing[0] - 2.0, "{homing:?}");
+    assert!(result.settings.encoder.electrical_offset.is_some() && result.faults.is_empty());
+}
+
+/// Ten minutes of dead reckoning: the place goes off as gyros and accelerometers say, the heading is within its 1σ.
+#[test]
+fn an_aligned_unit_navigates() {
+    let scenario = Scenario::builtin("static").unwrap();
+    let mut drift = 0.0;
+    for seed in 0..6 {
+        let (result, answers) = session(&scenario, seed, 700.0, &["50 navigate", "100 navigate"]);
+        assert_eq!(answers, ["error,only once aligned", "ok,navigating"]);
+        assert_eq!(result.state, "navigating");
+        let last = result.last.unwrap();
+        let track = last.track.unwrap();
+        assert!(
+            last.error.heading_deg.abs() < 4.0 * last.reading.sd.heading_deg,
+            "{last:?}"
+        );
+        // Ten minutes on the z gyro's bias, whose 1σ are 9 °/h, and 0.7° to begin with.
+        assert!(
+            (1.5..2.2).contains(&last.reading.sd.heading_deg),
+            "{}",
+            last.reading.sd.heading_deg
+        );
+        assert!(
+            last.error.pitch_deg.abs() < 0.1 && last.error.roll_deg.abs() < 0.1,
+            "{last:?}"
+        );
+        drift += track.east_m.powi(2) + track.north_m.powi(2);
+    }
+    let drift = (drift / 6.0_f64).sqrt();
+    assert!((20.0..1000.0).contains(&drift), "{drift:.0} m");
+}
+
+/// Whatever is typed is answered, and changes nothing that was not asked for.
+#[test]
+fn nonsense_is_answered() {
+    let scenario = Scenario::builtin("static").unwrap();
+    let typed = [
+        "20 format c:",
+        "21 set latitude north",
+        "22 set latitude 95",
+        "23 calibrate",
+        "24 log everything",
+        "25 \u{7f}\u{1}\u{2}",
+        "26 aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa",
+        "27 status",
+        "28 version",
+    ];
+    let (result, answers) = session(&scenario, 2, 30.0, &typed);
+    assert_eq!(
+        answers,
+        [
+            "error,expected a command: help lists them",
+            "error,expected a number as -12.345",
+            "error,expected latitude from -85.0 to 85.0 deg",
+            "error,only from rest or once aligned: stop first",
+            "error,expected log error  warn  info or debug",
+            "error,expected ASCII at 115200 baud 8N1",
+            "error,expected at most 64 characters on a line",
+            "ok,rotary-north 0.1.0",
+        ]
+    );
+    assert_eq!(result.state, "coarse");
+    let (quiet, _) = session(&scenario, 2, 30.0, &[]);
+    assert_eq!(result.settings, quiet.settings);
+}
