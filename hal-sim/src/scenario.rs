@@ -8,6 +8,7 @@
 use std::path::Path;
 
 use frames::units::DEG;
+use nalgebra::{Matrix3, Vector3};
 use nav::rotor::{RotorConfig, Schedule};
 use serde::{Deserialize, Serialize};
 
@@ -40,6 +41,11 @@ table! {
             coarse_t_k1_s: Option<f64> = None, [0.1, 360000.0];
             /// Second time, s. Absent: five sixths of the run.
             coarse_t_k2_s: Option<f64> = None, [0.1, 360000.0];
+            /// Calibration of the gyros before the run (\[Du16\] §3.2), the base at rest and its attitude known: so many
+            /// seconds with the rotor at rest, then a cycle of the rotor or as many as take as long. Biases, and what the
+            /// gyros take of the rotor's turning, are then out of the samples as far as that finds them. Zero: none. Not
+            /// for `unit`.
+            calibration_s: f64 = 0.0, [0.0, 3600.0];
         }
         tables {}
     }
@@ -64,7 +70,7 @@ table! {
 }
 
 table! {
-    /// `[swing.*]`: the attitude of the housing, `C_b^n = Rz(−heading) Rx(pitch) Ry(roll)`.
+    /// `[swing.*]`: the attitude of the base, `C_b^n = Rz(−heading) Rx(pitch) Ry(roll)` where the unit stands upright.
     pub struct Swing {
         numbers {}
         tables {
@@ -108,6 +114,41 @@ table! {
     }
 }
 
+/// How the unit is built into the base: along which of the base's axes its rotor's axis lies (\[Xing18\] §5.1).
+///
+/// b, the unit's housing, always has its z along the rotor's axis, and what a unit reports is the attitude of b: the
+/// core knows no other rotor. The base has the axes that the swing turns, right, front and up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RotorAxis {
+    /// On its side: z of b to the right of the base, y to its front. Heading and pitch are the base's, roll is 90° more.
+    X,
+    /// Tipped over: z of b to the front of the base, y to its right. Heading is 90° more than the base's, pitch is the
+    /// base's roll with the opposite sign, roll is the base's pitch less 90°.
+    Y,
+    /// Upright: b is the base.
+    #[default]
+    Z,
+}
+
+impl RotorAxis {
+    /// From b to the axes of the base: the axes of b in its columns.
+    pub fn mounting(self) -> Matrix3<f64> {
+        let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
+        Matrix3::from_columns(&match self {
+            Self::X => [-z, y, x],
+            Self::Y => [z, x, y],
+            Self::Z => [x, y, z],
+        })
+    }
+}
+
+impl Table for RotorAxis {
+    fn check(&self, _path: &str) -> Result<(), Violation> {
+        Ok(())
+    }
+}
+
 table! {
     /// `[rotor]`: reciprocating rotation about z; profile of [`nav::rotor`].
     pub struct Rotor {
@@ -127,7 +168,10 @@ table! {
             /// IMU at α = 0 lies as the housing does, so that the axis is off its z by as much.
             axis_tilt_arcmin: [f64; 2] = [0.0; 2], [-600.0, 600.0];
         }
-        tables {}
+        tables {
+            /// Along which axis of the base it lies: `"x"`, `"y"` or `"z"`.
+            axis: RotorAxis;
+        }
     }
 }
 
@@ -291,7 +335,8 @@ pub struct Scenario {
     pub name: String,
     /// One line for people.
     pub description: String,
-    /// From the housing's reference point, which sways, to the IMU, in b (right, front, up), m. Range −100 to 100.
+    /// From the base's reference point, which sways, to the IMU, in the base's axes (right, front, up), m. Range −100 to
+    /// 100.
     pub lever_arm_m: [f64; 3],
     /// Where.
     pub place: Place,
@@ -439,7 +484,9 @@ impl Scenario {
         self.fault.check("fault")?;
 
         let Swing { pitch, roll, .. } = &self.swing;
-        for (key, axis, limit) in [("swing.pitch", pitch, 85.0), ("swing.roll", roll, 180.0)] {
+        // A unit that is tipped over pitches as the base rolls.
+        let roll_limit = if self.rotor.axis == RotorAxis::Y { 85.0 } else { 180.0 };
+        for (key, axis, limit) in [("swing.pitch", pitch, 85.0), ("swing.roll", roll, roll_limit)] {
             match axis.centre_deg {
                 Angle::Random => {
                     return violation(
@@ -458,6 +505,9 @@ impl Scenario {
         }
         if let Err(error) = self.schedule() {
             return violation("rotor", error.to_string());
+        }
+        if self.run.calibration_s > 0.0 && self.rotor.rate_dps == 0.0 {
+            return violation("run.calibration_s", "a calibration needs a rotor that turns".to_owned());
         }
         Ok(())
     }

@@ -1,12 +1,14 @@
 //! Truth: the motion of the unit in closed form, and the exact integrals an IMU would measure.
 //!
 //! ```text
-//! C_b^n = Rz(−heading) Rx(pitch) Ry(roll)      each angle: centre + A sin(2π t/T + φ)   [Xing18] §5.1
+//! C_b^n = Rz(−heading) Rx(pitch) Ry(roll) B    each angle: centre + A sin(2π t/T + φ)   [Xing18] §5.1
 //! C_s^b = U Rz(α) Uᵀ                           U tilts the rotor's axis; α by nav::rotor, with ripple
 //! p^n   = sway + C_b^n l                       l: lever arm
 //! ω_is^s = C_b^s (ω_nb^b + C_n^b ω_ie^n) + α̇ u
 //! f^s    = C_n^s (a + 2 ω_ie × v − g)
 //! ```
+//!
+//! B is how the unit is built into the base that swings ([`RotorAxis`]): one where it stands upright, and b is the base.
 //!
 //! Derivatives are analytic throughout. n is a fixed tangent plane on the rotating Earth: no transport rate, uniform
 //! gravity (the displacements are metres). The IMU sits on the rotor's axis.
@@ -26,7 +28,7 @@ use nav::rotor::{RotorState, Schedule};
 use rand::RngExt;
 
 use crate::config::{Angle, Violation};
-use crate::scenario::{Axis, Scenario, SwayAxis};
+use crate::scenario::{Axis, RotorAxis, Scenario, SwayAxis};
 use crate::sensors::{Stream, stream};
 
 /// Longest step of the integration, s.
@@ -151,7 +153,7 @@ struct Housing {
 /// The motion of one run.
 #[derive(Debug, Clone)]
 pub struct Truth {
-    /// Yaw (counter-clockwise), pitch, roll, rad.
+    /// Yaw (counter-clockwise), pitch, roll of the base, rad.
     swing: [Sine; 3],
     /// East, north, up, m.
     sway: [Sine; 3],
@@ -162,6 +164,8 @@ pub struct Truth {
     ripple: (f64, f64),
     /// U: from axes with z along the rotor's axis to b; `None` where the axis is z.
     tilt: Option<Matrix3<f64>>,
+    /// B: from b to the axes of the base; `None` where they are the same.
+    mounting: Option<Matrix3<f64>>,
     tilt_b: Vec3<Body, f64>,
     w_ie_n: Vector3<f64>,
     gravity: f64,
@@ -226,6 +230,7 @@ impl Truth {
 
         let [tilt_x, tilt_y] = scenario.rotor.axis_tilt_arcmin;
         let tilt_b = Vec3::new(tilt_x * ARC_MIN, tilt_y * ARC_MIN, 0.0);
+        let mounted = scenario.rotor.axis != RotorAxis::Z;
         let harmonic = f64::from(scenario.rotor.ripple_harmonic);
         let ripple = (scenario.rotor.ripple_fraction / harmonic, harmonic);
 
@@ -242,15 +247,25 @@ impl Truth {
             swing,
             sway,
             swaying: sway.iter().any(|sine| sine.amplitude != 0.0),
-            lever_arm_b: Vector3::from(scenario.lever_arm_m),
+            lever_arm_b: scenario
+                .rotor
+                .axis
+                .mounting()
+                .tr_mul(&Vector3::from(scenario.lever_arm_m)),
             schedule,
             ripple,
             tilt: (tilt_b.norm() > 0.0).then(|| Rot::exp(tilt_b).matrix()),
+            mounting: mounted.then(|| scenario.rotor.axis.mounting()),
             tilt_b,
             w_ie_n: earth.w_ie_n().vector(),
             gravity: earth.gravity(),
             max_step: MAX_STEP.min(TAU / (fastest * STEPS_PER_PERIOD)),
         })
+    }
+
+    /// The rotor's profile, without ripple.
+    pub fn schedule(&self) -> &Schedule<f64> {
+        &self.schedule
     }
 
     /// Rate of n against i, resolved in n, rad/s.
@@ -266,7 +281,11 @@ impl Truth {
     /// Attitude of the housing at `t` ≥ 0, s.
     pub fn c_nb(&self, t: f64) -> Rot<Nav, Body, f64> {
         let [yaw, pitch, roll] = self.swing.map(|sine| sine.at(sine.argument(t)).x);
-        Rot::from_yaw_pitch_roll(yaw, pitch, roll)
+        let base = Rot::from_yaw_pitch_roll(yaw, pitch, roll);
+        match &self.mounting {
+            None => base,
+            Some(mounting) => Rot::from_matrix(&(base.matrix() * mounting)),
+        }
     }
 
     /// Heading (clockwise, [0, 2π)), pitch and roll of the housing at `t`, rad.
@@ -439,7 +458,14 @@ impl Truth {
             du.y + roll.ddx,
             sr * du.x + cr * du.z + roll.dx * (cr * u.x - sr * u.z),
         );
-        Housing { c_nb, w_nb_b, dw_nb_b }
+        match &self.mounting {
+            None => Housing { c_nb, w_nb_b, dw_nb_b },
+            Some(mounting) => Housing {
+                c_nb: c_nb * mounting,
+                w_nb_b: mounting.tr_mul(&w_nb_b),
+                dw_nb_b: mounting.tr_mul(&dw_nb_b),
+            },
+        }
     }
 
     fn sway_at(&self, base: &Base, dt: f64) -> Vector3Of<Motion> {
@@ -599,6 +625,11 @@ mod tests {
         axis_tilt_arcmin = [20, -35]
     ";
 
+    /// [`ALL`] with the rotor along another axis of the base.
+    fn mounted(axis: &str) -> String {
+        format!("{ALL}\n        axis = '{axis}'\n")
+    }
+
     fn truth(text: &str, seed: u64) -> Truth {
         Truth::new(&Scenario::parse(text, "test").unwrap(), seed).unwrap()
     }
@@ -612,6 +643,7 @@ mod tests {
         Scenario::builtin_names()
             .map(|name| Truth::new(&Scenario::builtin(name).unwrap(), 3).unwrap())
             .chain([truth(ALL, 1), truth(ALL, 2)])
+            .chain(["x", "y"].map(|axis| truth(&mounted(axis), 1)))
             .collect()
     }
 
@@ -680,6 +712,33 @@ mod tests {
         assert!((x - Vec3::new(0.0, 1.0, 0.0)).norm() < 1e-14);
         // North is then along the IMU's x.
         assert!((truth.w_is_s(quarter).x() - truth.w_ie_n().y()).abs() < 1e-18);
+    }
+
+    #[test]
+    fn signs_of_the_mounting() {
+        let at = |axis: &str, t: f64| {
+            let text = format!(
+                "[swing.heading]\ncentre_deg = 20\n[swing.pitch]\ncentre_deg = 5\n[swing.roll]\ncentre_deg = -8\n\
+                 [rotor]\naxis = '{axis}'"
+            );
+            let truth = truth(&text, 0);
+            (truth.attitude(t), truth.c_ns(t), truth.w_is_s(t))
+        };
+        let (base, upright, _) = at("z", 0.0);
+        let (side, on_its_side, w) = at("x", 5.0);
+        let near = |a: f64, b: f64| (a - b).abs() < 1e-12;
+        assert!(near(side.heading, base.heading) && near(side.pitch, base.pitch));
+        assert!(near(side.roll, base.roll + 90.0 * DEG));
+        // The axis about which the IMU turns is its z, and points where the base's right does.
+        let axis = |c: Rot<Nav, Sensor, f64>| c * Vec3::new(0.0, 0.0, 1.0);
+        assert!(w.z() > 19.9 * DEG && w.x().hypot(w.y()) < 1e-4);
+        assert!((axis(on_its_side) - upright * Vec3::new(1.0, 0.0, 0.0)).norm() < 1e-12);
+        let (tipped, over, w) = at("y", 5.0);
+        assert!(w.z() > 19.9 * DEG && w.x().hypot(w.y()) < 1e-4);
+        assert!((axis(over) - upright * Vec3::new(0.0, 1.0, 0.0)).norm() < 1e-12);
+        // To the second order of the tilts.
+        assert!((tipped.heading - base.heading - 90.0 * DEG).abs() < 0.013);
+        assert!((tipped.pitch + base.roll).abs() < 0.013 && (tipped.roll - base.pitch + 90.0 * DEG).abs() < 0.013);
     }
 
     #[test]
