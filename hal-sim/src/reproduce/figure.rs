@@ -1,4 +1,4 @@
-//! Line charts of the papers' kind: several curves, linear or logarithmic axes, a legend.
+//! Line charts of the papers' kind: several curves, linear or logarithmic axes, a legend beside the plane.
 
 use std::path::Path;
 
@@ -19,6 +19,10 @@ const COLOURS: [RGBColor; 7] = [
     RGBColor(230, 159, 0),
 ];
 const FONT: &str = "sans-serif";
+/// Size of the legend's letters, its first line below the top of the panel and the distance of its lines, pixels.
+const LEGEND_FONT: u32 = 13;
+const LEGEND_TOP: i32 = 36;
+const LEGEND_LINE: i32 = 18;
 
 /// One axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -110,17 +114,24 @@ fn draw(area: &DrawingArea<SVGBackend<'_>, Shift>, chart: &Chart<'_>) -> Result<
     let points = || chart.curves.iter().flat_map(|c| c.points.iter());
     let (x0, x1) = chart.x.limits(points().map(|p| p.0));
     let (y0, y1) = chart.y.limits(points().map(|p| p.1));
+    // Beside the plane, where no curve can be under it.
+    let (plane, beside) = area.split_horizontally(area.dim_in_pixel().0.saturating_sub(legend_width(chart)));
+    legend(&beside, chart)?;
+    // On a logarithmic axis small values are not rounding.
+    let spans = [(chart.x.log, x1 - x0), (chart.y.log, y1 - y0)].map(|(log, span)| if log { 0.0 } else { span });
     // The library has a type of its own for each kind of axis.
     match (chart.x.log, chart.y.log) {
-        (false, false) => panel(area, chart, x0..x1, y0..y1),
-        (true, false) => panel(area, chart, (x0..x1).log_scale(), y0..y1),
-        (false, true) => panel(area, chart, x0..x1, (y0..y1).log_scale()),
-        (true, true) => panel(area, chart, (x0..x1).log_scale(), (y0..y1).log_scale()),
+        (false, false) => panel(&plane, chart, spans, x0..x1, y0..y1),
+        (true, false) => panel(&plane, chart, spans, (x0..x1).log_scale(), y0..y1),
+        (false, true) => panel(&plane, chart, spans, x0..x1, (y0..y1).log_scale()),
+        (true, true) => panel(&plane, chart, spans, (x0..x1).log_scale(), (y0..y1).log_scale()),
     }
 }
 
-/// A tick's text: no more digits than it needs.
-fn tick(v: f64) -> String {
+/// A tick's text: no more digits than it needs. Where an axis of this `span` crosses zero, the ticks' sum of steps misses
+/// it by rounding.
+fn tick(v: f64, span: f64) -> String {
+    let v = if v.abs() < 1e-9 * span { 0.0 } else { v };
     if v != 0.0 && !(1e-3..1e5).contains(&v.abs()) {
         format!("{v:.0e}")
     } else {
@@ -130,7 +141,39 @@ fn tick(v: f64) -> String {
     }
 }
 
-fn panel<X, Y>(area: &DrawingArea<SVGBackend<'_>, Shift>, chart: &Chart<'_>, x: X, y: Y) -> Result<(), PlotError>
+/// Draws the legend from the top of its area down, and tells nothing where it is full.
+fn legend(area: &DrawingArea<SVGBackend<'_>, Shift>, chart: &Chart<'_>) -> Result<(), PlotError> {
+    let height = i32::try_from(area.dim_in_pixel().1).unwrap_or(i32::MAX);
+    for (line, curve) in (0..).zip(chart.curves.iter().filter(|c| !c.label.is_empty())) {
+        let y = LEGEND_TOP + LEGEND_LINE * line;
+        if y + LEGEND_LINE > height {
+            break;
+        }
+        let colour = COLOURS[curve.colour % COLOURS.len()];
+        let style = colour.stroke_width(if curve.thin { 1 } else { 2 });
+        area.draw(&PathElement::new([(0, y + 8), (18, y + 8)], style))?;
+        area.draw(&Text::new(curve.label.as_str(), (24, y), (FONT, LEGEND_FONT)))?;
+    }
+    Ok(())
+}
+
+/// Width of the legend, pixels: zero where nothing is labelled. Letters of this font are 0.55 of its size wide.
+fn legend_width(chart: &Chart<'_>) -> u32 {
+    let longest = chart.curves.iter().map(|c| c.label.chars().count()).max().unwrap_or(0);
+    if longest == 0 {
+        0
+    } else {
+        32 + u32::try_from(longest).unwrap_or(0) * LEGEND_FONT * 55 / 100
+    }
+}
+
+fn panel<X, Y>(
+    area: &DrawingArea<SVGBackend<'_>, Shift>,
+    chart: &Chart<'_>,
+    [x_span, y_span]: [f64; 2],
+    x: X,
+    y: Y,
+) -> Result<(), PlotError>
 where
     X: AsRangedCoord<Value = f64>,
     Y: AsRangedCoord<Value = f64>,
@@ -150,34 +193,18 @@ where
         .bold_line_style(RGBColor(225, 225, 225))
         .x_desc(chart.x.label)
         .y_desc(chart.y.label)
-        .x_label_formatter(&|v| tick(*v))
-        .y_label_formatter(&|v| tick(*v))
+        .x_label_formatter(&|v| tick(*v, x_span))
+        .y_label_formatter(&|v| tick(*v, y_span))
         .label_style((FONT, 13))
         .axis_desc_style((FONT, 14))
         .draw()?;
-    let mut labelled = false;
     for curve in &chart.curves {
         let colour = COLOURS[curve.colour % COLOURS.len()];
         let style = colour.stroke_width(if curve.thin { 1 } else { 2 });
         let shown = curve.points.iter().copied().filter(|(x, y)| {
             x.is_finite() && y.is_finite() && (!chart.y.log || *y > 0.0) && (!chart.x.log || *x > 0.0)
         });
-        let series = plane.draw_series(LineSeries::new(shown, style))?;
-        if !curve.label.is_empty() {
-            labelled = true;
-            series
-                .label(&curve.label)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
-        }
-    }
-    if labelled {
-        plane
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .border_style(RGBColor(180, 180, 180))
-            .background_style(WHITE.mix(0.85))
-            .label_font((FONT, 13))
-            .draw()?;
+        plane.draw_series(LineSeries::new(shown, style))?;
     }
     Ok(())
 }
@@ -195,4 +222,68 @@ pub fn figure(path: &Path, charts: &[Chart<'_>]) -> Result<(), PlotError> {
     }
     root.present()?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_short_and_zero_is_zero() {
+        for (v, span, text) in [
+            (-6e-17, 0.4, "0"),
+            (6e-17, 0.4, "0"),
+            (-0.0, 1.0, "0"),
+            (0.05, 0.4, "0.05"),
+            (-20.0, 100.0, "-20"),
+            (2e-7, 1e-6, "2e-7"),
+            (2e-7, 0.0, "2e-7"),
+            (3e6, 1e7, "3e6"),
+        ] {
+            assert_eq!(tick(v, span), text, "{v} of {span}");
+        }
+    }
+
+    #[test]
+    fn the_legend_is_beside_the_plane() {
+        let dir = tempfile::TempDir::new().unwrap();
+        let path = dir.path().join("f.svg");
+        let curve = |label: &str| Curve {
+            label: label.to_owned(),
+            points: vec![(0.0, 0.0), (10.0, 1.0)],
+            thin: false,
+            colour: 0,
+        };
+        let chart = |curves| Chart {
+            title: "title",
+            x: Axis::linear("x").within(0.0, 10.0),
+            y: Axis::linear("y").within(0.0, 1.0),
+            curves,
+        };
+        // The right end of the curve, which goes to the plane's corner: further left by the legend's width.
+        let right = |curves: Vec<Curve>| -> f64 {
+            let width = legend_width(&chart(curves.clone()));
+            figure(&path, &[chart(curves)]).unwrap();
+            let text = std::fs::read_to_string(&path).unwrap();
+            let numbers = text
+                .lines()
+                .filter(|line| line.contains("polyline"))
+                .filter_map(|line| line.split("points=\"").nth(1))
+                .flat_map(|points| {
+                    points
+                        .split(['"', ' ', ','])
+                        .filter_map(|n| n.parse::<f64>().ok())
+                        .step_by(2)
+                });
+            let plane_right = numbers.filter(|x| *x < f64::from(900 - width)).fold(0.0, f64::max);
+            assert_eq!(text.contains("a curve of some kind"), width > 0);
+            plane_right
+        };
+        let (without, with) = (right(vec![curve("")]), right(vec![curve("a curve of some kind")]));
+        let width = f64::from(legend_width(&chart(vec![curve("a curve of some kind")])));
+        assert!(
+            width > 100.0 && (without - with - width).abs() < 2.0,
+            "{without} {with} {width}"
+        );
+    }
 }
