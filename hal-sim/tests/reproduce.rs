@@ -110,6 +110,11 @@ fn names_are_listed_and_unknown_ones_refused() {
     for name in [
         "du17-observability",
         "du17-zupt",
+        "xing18-simulation",
+        "xing18-turntable",
+        "xing18-allan",
+        "xing18-irregularity",
+        "xing18-choices",
         "yu15-closed-forms",
         "yu15-north-finding",
     ] {

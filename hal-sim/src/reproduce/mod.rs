@@ -21,6 +21,7 @@
 mod du16;
 mod du17;
 pub mod figure;
+mod xing18;
 mod yu15;
 
 use std::fs;
@@ -40,6 +41,11 @@ pub const ALL: &[Reproduction] = &[
     du17::OBSERVABILITY,
     du17::ZUPT,
     du17::ACCELERATION,
+    xing18::SIMULATION,
+    xing18::TURNTABLE,
+    xing18::ALLAN,
+    xing18::IRREGULARITY,
+    xing18::CHOICES,
     yu15::CLOSED_FORMS,
     yu15::CURVES,
     yu15::NORTH_FINDING,
