@@ -208,3 +208,166 @@ impl<T: Real> Navigator<T> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use frames::units::{DEG, DEG_PER_HOUR, MICRO_G};
+    use nalgebra::Matrix3;
+
+    use super::*;
+    use crate::earth::Earth;
+
+    const DT: f64 = 0.01;
+    const RATE: f64 = 20.0 * DEG;
+    const PLACE: Position<f64> = Position {
+        latitude: 40.0 * DEG,
+        longitude: 0.1,
+        height: 0.0,
+    };
+    const CONFIG: NavigatorConfig<f64> = NavigatorConfig {
+        vertical: Vertical::Held,
+        decimate_to: 0.05,
+        longest_gap: 0.5,
+        angle_random_walk: 1e-5,
+    };
+
+    fn gyro_bias() -> Vec3<Sensor, f64> {
+        Vec3::new(5.0, -3.0, 8.0) * DEG_PER_HOUR
+    }
+
+    fn accel_bias() -> Vec3<Sensor, f64> {
+        Vec3::new(80.0, -50.0, 100.0) * MICRO_G
+    }
+
+    fn c_nb() -> Rot<Nav, Body, f64> {
+        Rot::from_yaw_pitch_roll(0.7, 0.02, -0.03)
+    }
+
+    fn hand_over(gyro: Vec3<Sensor, f64>, accel: Vec3<Sensor, f64>) -> HandOver<f64> {
+        let sd = AttitudeSd {
+            heading: 5e-3,
+            pitch: 1e-4,
+            roll: 2e-4,
+        };
+        HandOver {
+            estimate: Estimate {
+                c_nb: c_nb(),
+                attitude: Attitude::from_rot(&c_nb()),
+                sd,
+                gyro_bias_s: gyro,
+                gyro_bias_sd: Vec3::new(1e-7, 2e-7, 3e-5),
+                accel_bias_s: accel,
+                accel_bias_sd: Vec3::zero(),
+            },
+            v_n: Vec3::zero(),
+            corrections: Corrections {
+                gyro_bias_s: gyro,
+                gyro_instability_s: Vec3::zero(),
+                gyro_matrix: Matrix3::zeros(),
+                accel_bias_s: accel,
+            },
+            c_bs: Rot::identity(),
+        }
+    }
+
+    /// The sample of (k DT, (k + 1) DT) of the turning IMU on a base at rest, by its middle; and α at its end.
+    fn sample(k: u32) -> (Sample<f64>, f64) {
+        let earth = Earth::new(PLACE.latitude, PLACE.height).unwrap();
+        let (middle, end) = (RATE * DT * (f64::from(k) + 0.5), RATE * DT * (f64::from(k) + 1.0));
+        let c_sn = (c_nb() * Rot::about_z(middle)).inverse();
+        let rate = c_sn * earth.w_ie_n() + Vec3::new(0.0, 0.0, RATE) + gyro_bias();
+        // The mean of a force over a turn of 3.5 mrad is shorter by 5e-7 of it.
+        let force = c_sn * -earth.g_n() + accel_bias();
+        let sample = Sample {
+            dtheta_s: rate * DT,
+            dv_s: force * DT,
+            dt: DT,
+            gap: 0.0,
+        };
+        (sample, end)
+    }
+
+    fn run(navigator: &mut Navigator<f64>, samples: core::ops::Range<u32>) {
+        for k in samples {
+            let (sample, alpha) = sample(k);
+            navigator.step(&sample, alpha).unwrap();
+        }
+    }
+
+    #[test]
+    fn goes_on_with_what_the_alignment_knew() {
+        let mut navigator = Navigator::new(CONFIG, PLACE, &hand_over(gyro_bias(), accel_bias())).unwrap();
+        // Ends between two increments: what is pending counts.
+        run(&mut navigator, 0..30_003);
+        let off = navigator.estimate().c_nb.angle_to(c_nb());
+        assert!(off < 2e-5, "{off:e} rad");
+        let Track { v_n, position } = navigator.track();
+        assert!(v_n.norm() < 0.03, "{v_n:?}");
+        let way = 6.37e6 * (position.latitude - PLACE.latitude).hypot(position.longitude - PLACE.longitude);
+        assert!(way < 5.0, "{way} m");
+        assert!((navigator.time() - 300.03).abs() < 1e-9);
+    }
+
+    /// A z bias that is left is all heading; those of x and y go round with the rotor.
+    #[test]
+    fn what_is_left_of_a_bias() {
+        let known = Vec3::new(0.0, 0.0, 0.0);
+        let mut navigator = Navigator::new(CONFIG, PLACE, &hand_over(known, accel_bias())).unwrap();
+        // Ten turns.
+        run(&mut navigator, 0..18_000);
+        let error = (navigator.estimate().c_nb * c_nb().inverse()).log();
+        let turned = 8.0 * DEG_PER_HOUR * 180.0;
+        assert!((error.norm() - turned).abs() < 0.02 * turned, "{error:?} {turned:e}");
+        assert!(error.x().hypot(error.y()) < 0.1 * turned, "{error:?}");
+    }
+
+    #[test]
+    fn the_sd_grows_as_documented() {
+        let mut navigator = Navigator::new(CONFIG, PLACE, &hand_over(gyro_bias(), accel_bias())).unwrap();
+        run(&mut navigator, 0..30_000);
+        let AttitudeSd { heading, pitch, roll } = navigator.estimate().sd;
+        let squares = |parts: [f64; 3]| parts.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let walk = 1e-5 * 300.0_f64.sqrt();
+        assert!((heading - squares([5e-3, walk, 3e-5 * 300.0])).abs() < 1e-9);
+        assert!((pitch - squares([1e-4, walk, 2e-7 * 300.0])).abs() < 1e-9);
+        assert!((roll - squares([2e-4, walk, 2e-7 * 300.0])).abs() < 1e-9);
+        // After a quarter of an hour the level part stays.
+        run(&mut navigator, 30_000..120_000);
+        let walk = 1e-5 * 1200.0_f64.sqrt();
+        let pitch = navigator.estimate().sd.pitch;
+        assert!(
+            (pitch - squares([1e-4, walk, 2e-7 / SCHULER])).abs() < 1e-9,
+            "{pitch:e}"
+        );
+    }
+
+    #[test]
+    fn short_gaps_are_bridged_and_long_ones_end_it() {
+        let mut navigator = Navigator::new(CONFIG, PLACE, &hand_over(gyro_bias(), accel_bias())).unwrap();
+        run(&mut navigator, 0..100);
+        let (mut late, alpha) = sample(110);
+        late.gap = 10.0 * DT;
+        navigator.step(&late, alpha).unwrap();
+        let off = navigator.estimate().c_nb.angle_to(c_nb());
+        assert!(off < 1e-5, "{off:e} rad");
+
+        let before = navigator;
+        let (mut lost, alpha) = sample(200);
+        lost.gap = 0.6;
+        assert_eq!(navigator.step(&lost, alpha), Err(NavigatorError::Gap { length: 0.6 }));
+        lost.gap = 0.0;
+        lost.dtheta_s = Vec3::new(f64::NAN, 0.0, 0.0);
+        assert_eq!(navigator.step(&lost, alpha), Err(NavigatorError::Sample));
+        assert_eq!(
+            navigator.step(&sample(201).0, f64::INFINITY),
+            Err(NavigatorError::Sample)
+        );
+        assert_eq!(navigator, before);
+    }
+
+    #[test]
+    fn no_navigation_from_an_impossible_place() {
+        let nowhere = Position { latitude: 2.0, ..PLACE };
+        assert!(Navigator::new(CONFIG, nowhere, &hand_over(gyro_bias(), accel_bias())).is_err());
+    }
+}
