@@ -104,11 +104,11 @@ pub struct Cost {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
-    /// Aligned, the heading within [`SIGMAS`] of the truth.
+    /// Aligned or navigating, the heading within [`SIGMAS`] of the truth.
     Aligned,
-    /// Not aligned at the end.
+    /// Neither at the end.
     NotAligned,
-    /// Aligned, and the heading is further off than its σ allows.
+    /// The same, and the heading is further off than its σ allows.
     BeyondSigma,
     /// The cable was wound past what it bears.
     WoundPast,
@@ -170,7 +170,7 @@ impl Outcome {
             return Verdict::WoundPast;
         }
         match &self.last {
-            Some(last) if self.state == "aligned" => {
+            Some(last) if matches!(self.state.as_str(), "aligned" | "navigating") => {
                 if last.sigmas().abs() <= SIGMAS {
                     Verdict::Aligned
                 } else {
