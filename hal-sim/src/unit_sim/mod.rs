@@ -26,6 +26,8 @@ mod record;
 mod world;
 
 use core::cell::{Cell, RefCell};
+use core::future::poll_fn;
+use core::task::{Poll, Waker};
 use std::rc::Rc;
 
 use app::alignment::{self, AlignmentConfig};
@@ -46,7 +48,7 @@ use drivers::adis16495;
 use drivers::harmonics::{Harmonic, Harmonics};
 use drivers::motor::MotorDriver;
 use drivers::mt6835;
-use embassy_futures::select::{Either, select};
+use embassy_futures::select::{Either, Either3, select, select3};
 use embassy_time::{Delay, Duration, Instant};
 use frames::units::DEG_PER_HOUR;
 use nav::aligner::{Aligner, AlignerConfig, AlignerError};
@@ -266,6 +268,14 @@ pub trait Observer {
     fn estimate(&mut self, _navigation: &Navigation) {}
     /// Virtual time has come so far, s.
     fn time(&mut self, _t_s: f64) {}
+    /// How much virtual time passes from one look to the next, µs: less for somebody who takes part.
+    fn look_us(&self) -> u64 {
+        1_000_000
+    }
+    /// What somebody has typed since the last look: bytes as they come, on top of what is typed at its time.
+    fn typed(&mut self) -> Vec<u8> {
+        Vec::new()
+    }
 }
 
 /// Nobody looks.
@@ -310,6 +320,38 @@ struct Record {
     lines: Vec<Line>,
     sentences: Vec<UartLine>,
     estimates: Vec<Navigation>,
+    hand: Hand,
+}
+
+/// What is typed while the unit runs, until the other end of its line sends it.
+#[derive(Default)]
+struct Hand {
+    bytes: Vec<u8>,
+    end: Option<Waker>,
+}
+
+impl Hand {
+    fn give(&mut self, bytes: Vec<u8>) {
+        self.bytes.extend(bytes);
+        if let Some(end) = self.end.take() {
+            end.wake();
+        }
+    }
+
+    /// Of a record: what was typed, once there is something.
+    ///
+    /// Cancellation: safe, nothing is taken before it is returned.
+    async fn take(record: &RefCell<Record>) -> Vec<u8> {
+        poll_fn(|cx| {
+            let hand = &mut record.borrow_mut().hand;
+            if hand.bytes.is_empty() {
+                hand.end = Some(cx.waker().clone());
+                return Poll::Pending;
+            }
+            Poll::Ready(core::mem::take(&mut hand.bytes))
+        })
+        .await
+    }
 }
 
 /// Data-ready with its stamp, as an EXTI interrupt gives it.
@@ -452,7 +494,8 @@ fn run_with<const B: usize>(
         if now_us >= end_us {
             break;
         }
-        let next_us = (now_us / 1_000_000 + 1) * 1_000_000;
+        let look_us = observer.look_us().max(1);
+        let next_us = (now_us / look_us + 1) * look_us;
         let stop = executor
             .run_until(Instant::from_micros(next_us.min(end_us)))
             .map_err(UnitError::Program)?;
@@ -466,6 +509,10 @@ fn run_with<const B: usize>(
             observer.sentence(&sentence);
         }
         observer.time(executor.now().as_micros() as f64 * 1e-6);
+        let bytes = observer.typed();
+        if !bytes.is_empty() {
+            record.borrow_mut().hand.give(bytes);
+        }
         if stop == vtime::Stop::Requested
             && let Some(cause) = bench.reset.take()
         {
@@ -882,9 +929,10 @@ fn serial<const B: usize>(
                     None => core::future::pending().await,
                 }
             };
-            match select(host.line(), due).await {
-                Either::First(line) => record.borrow_mut().sentences.push(line),
-                Either::Second(()) => {
+            match select3(host.line(), due, Hand::take(&record)).await {
+                Either3::First(line) => record.borrow_mut().sentences.push(line),
+                Either3::Third(bytes) => host.send(&bytes),
+                Either3::Second(()) => {
                     if let Some(Typed { text, .. }) = typed.next() {
                         host.send(text.as_bytes());
                         host.send(b"\r\n");
