@@ -9,7 +9,7 @@ use plotters::prelude::*;
 use crate::plot::PlotError;
 
 // Okabe and Ito's colours, which the colour-blind can tell.
-const COLOURS: [RGBColor; 7] = [
+const COLOURS: [RGBColor; 8] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
@@ -17,6 +17,7 @@ const COLOURS: [RGBColor; 7] = [
     RGBColor(110, 110, 110),
     RGBColor(86, 180, 233),
     RGBColor(230, 159, 0),
+    RGBColor(0, 0, 0),
 ];
 const FONT: &str = "sans-serif";
 /// Size of the legend's letters, its first line below the top of the panel and the distance of its lines, pixels.

@@ -656,7 +656,8 @@ fn strong_tracking_over_kalman(kf_runs: &[Course], kf: &Statistics, stf_runs: &[
     )
     .remark(format!(
         "On the same samples the two headings are {rms:.4}° apart: with noise and drift as the filter is told, innovations \
-         do not grow and nothing fades. The published ratio is of two SDs of ten experiments, known to 24 % each; one such ratio in five is as small by chance.",
+         seldom grow and little fades. The published ratio is of two SDs of ten experiments, known to 24 % each; one \
+         such ratio in five is as small by chance.",
     ))
 }
 
