@@ -3,7 +3,7 @@
 //! Results go to stdout, progress and warnings to stderr. Exit codes: 0 aligned, 1 not aligned, 2 bad input.
 
 use std::fs::File;
-use std::io::{self, BufWriter, Write as _};
+use std::io::{self, BufWriter, IsTerminal as _, Read, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -13,6 +13,7 @@ use hal_sim::allan::{self, AllanError};
 use hal_sim::bound::{self, Bound, BoundConfig};
 use hal_sim::bus::UartLine;
 use hal_sim::calibrate::{self, CalibrateError, Stand};
+use hal_sim::inspect::{self, defmt::Elf, live, live::Tail};
 use hal_sim::log::{LogRow, LogWarning, LogWriter};
 use hal_sim::monte_carlo::{self, MethodReport, READY_SD_DEG, Statistics};
 use hal_sim::observability::{self, Attitude, Axis, Segment};
@@ -65,6 +66,8 @@ enum Command {
     Calibrate(CalibrateArgs),
     /// Reproduce the papers' tables and figures: what is published beside ours
     Reproduce(ReproduceArgs),
+    /// Inspect a unit's log: modes, estimates, faults, resets with their times, as table, CSV and chart
+    Inspect(InspectArgs),
     /// List the built-in scenarios, or print one as a start for your own
     Scenarios {
         /// Name of the scenario to print
@@ -271,6 +274,27 @@ struct ReproduceArgs {
     json: bool,
 }
 
+#[derive(Args)]
+struct InspectArgs {
+    /// Raw stream of defmt, or output of probe-rs, defmt-print, `cargo emulate`, `hal-sim unit`; `-` is standard input
+    log: PathBuf,
+    /// The image that wrote the stream of defmt
+    #[arg(long, value_name = "ELF")]
+    elf: Option<PathBuf>,
+    /// Write the estimates as CSV
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Write the chart, as SVG
+    #[arg(long, value_name = "FILE")]
+    svg: Option<PathBuf>,
+    /// Print the timeline as JSON
+    #[arg(long)]
+    json: bool,
+    /// Show the log while it is written; a file is waited for until this is interrupted
+    #[arg(long, conflicts_with = "json")]
+    follow: bool,
+}
+
 /// Parses the command line and does what it says.
 pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
@@ -289,6 +313,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Allan(args) => allan(&args),
         Command::Calibrate(args) => calibrate(&args),
         Command::Reproduce(args) => reproduce(&args, cli.quiet),
+        Command::Inspect(args) => inspect(&args),
         Command::Scenarios { name } => scenarios(name.as_deref()),
     };
     done.unwrap_or_else(|message| {
@@ -1119,6 +1144,41 @@ fn reproduce(args: &ReproduceArgs, quiet: bool) -> Done {
         print(&format!("plots: {}\n", args.out.display()))?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn inspect(args: &InspectArgs) -> Done {
+    let elf = args.elf.as_deref().map(Elf::read).transpose().map_err(words)?;
+    // A log's own errors do not begin with its name, those of files do.
+    let named = |e: inspect::InspectError| match e {
+        inspect::InspectError::Empty | inspect::InspectError::NeedsElf | inspect::InspectError::NotOurs { .. } => {
+            format!("{}: {e}", args.log.display())
+        }
+        other => other.to_string(),
+    };
+    let timeline = if args.follow {
+        let mut input: Box<dyn Read> = if args.log == Path::new("-") {
+            Box::new(io::stdin())
+        } else {
+            Box::new(Tail::open(&args.log).map_err(words)?)
+        };
+        let stdout = io::stdout();
+        live::follow(&mut input, elf, stdout.is_terminal(), &mut stdout.lock())
+    } else {
+        inspect::of_file(&args.log, elf)
+    };
+    let timeline = timeline.map_err(named)?;
+    if let Some(path) = &args.csv {
+        inspect::report::csv(path, &timeline).map_err(words)?;
+    }
+    if let Some(path) = &args.svg {
+        inspect::chart::svg(path, &timeline).map_err(|e| format!("cannot write {}: {e}", path.display()))?;
+    }
+    if args.json {
+        print_json(&inspect::report::summary(&timeline))?;
+    } else {
+        print(&inspect::report::table(&timeline))?;
+    }
+    Ok(exit(timeline.state()))
 }
 
 fn scenarios(name: Option<&str>) -> Done {

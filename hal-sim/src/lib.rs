@@ -19,6 +19,7 @@ pub mod bus;
 pub mod calibrate;
 pub mod config;
 pub mod device;
+pub mod inspect;
 pub mod log;
 pub mod monte_carlo;
 pub mod observability;

@@ -562,8 +562,8 @@ mod tests {
             // Through TOML and JSON and back.
             let text = toml::to_string(&scenario).unwrap();
             assert_eq!(Scenario::parse(&text, name).unwrap(), scenario);
-            let text = serde_json::to_string(&scenario).unwrap();
-            let read: Scenario = serde_json::from_str(&text).unwrap();
+            let json = serde_json::to_value(&scenario).unwrap();
+            let read: Scenario = serde_json::from_value(json).unwrap();
             assert_eq!(
                 Scenario {
                     name: name.to_owned(),

@@ -1,0 +1,307 @@
+//! A log while it is written: the unit's state on a terminal, or a line for each thing that is new.
+
+use core::fmt::Write as _;
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{self, Read, Seek as _, SeekFrom, Write};
+use std::path::Path;
+use std::thread;
+use std::time::Duration;
+
+use frames::units::DEG;
+use log::Level;
+
+use super::defmt::Elf;
+use super::report::count;
+use super::timeline::{EstimateAt, News, Timeline};
+use super::{InspectError, Reader};
+
+/// From one look at a file that does not grow to the next.
+const LOOK: Duration = Duration::from_millis(200);
+/// Bytes of one look: of the order of an hour of the log, so that a long file is caught up with few drawings.
+const CHUNK: usize = 64 * 1024;
+/// Lines of the unit that stay on the screen.
+const SAID: usize = 6;
+/// Width of the screen, characters: what is longer is cut, for a line that wraps would spoil the next drawing.
+const WIDTH: usize = 78;
+/// Rows above and below the dial's centre, and columns beside it: a character is twice as high as it is wide.
+const REACH: (i32, i32) = (4, 9);
+
+/// The end of a file that grows.
+#[derive(Debug)]
+pub struct Tail {
+    file: File,
+    at: u64,
+    /// Other files, such as a FIFO, tell by themselves when they end.
+    regular: bool,
+}
+
+impl Tail {
+    /// Begins at the file's beginning.
+    ///
+    /// # Errors
+    /// [`InspectError::Read`] where there is no such file.
+    pub fn open(path: &Path) -> Result<Self, InspectError> {
+        let open = || {
+            let file = File::open(path)?;
+            let regular = file.metadata()?.is_file();
+            Ok(Self { file, at: 0, regular })
+        };
+        open().map_err(|e: io::Error| InspectError::Read(path.to_owned(), e.to_string()))
+    }
+}
+
+impl Read for Tail {
+    /// Waits for more; a file that has become shorter was begun anew.
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        loop {
+            let read = self.file.read(buffer)?;
+            self.at += read as u64;
+            if read > 0 || !self.regular {
+                return Ok(read);
+            }
+            if self.file.metadata()?.len() < self.at {
+                self.at = self.file.seek(SeekFrom::Start(0))?;
+            } else {
+                thread::sleep(LOOK);
+            }
+        }
+    }
+}
+
+/// Follows a log to its end, or until nobody reads what is written.
+///
+/// # Errors
+/// [`InspectError`] where it cannot be read, or is no log of the unit.
+pub fn follow(
+    input: &mut dyn Read,
+    elf: Option<Elf>,
+    terminal: bool,
+    output: &mut dyn Write,
+) -> Result<Timeline, InspectError> {
+    let mut reader = Reader::new(elf);
+    let mut screen = Screen::default();
+    let mut buffer = vec![0; CHUNK];
+    loop {
+        let read = match input.read(&mut buffer) {
+            Ok(0) => break,
+            Ok(read) => read,
+            Err(e) if e.kind() == io::ErrorKind::Interrupted => continue,
+            Err(e) => return Err(InspectError::Read("the log".into(), e.to_string())),
+        };
+        let mut text = String::new();
+        reader.push(&buffer[..read], &mut |_, news| {
+            if terminal {
+                screen.note(&news);
+            } else {
+                text += &plain(&news);
+            }
+        })?;
+        if terminal {
+            text = screen.draw(reader.timeline());
+        }
+        if write(output, &text)? {
+            break;
+        }
+    }
+    let mut text = String::new();
+    let timeline = reader.finish(&mut |_, news| {
+        if !terminal {
+            text += &plain(&news);
+        }
+    })?;
+    write(output, &text)?;
+    Ok(timeline)
+}
+
+/// Tells whether the reader has gone away.
+fn write(output: &mut dyn Write, text: &str) -> Result<bool, InspectError> {
+    match output.write_all(text.as_bytes()).and_then(|()| output.flush()) {
+        Ok(()) => Ok(false),
+        Err(e) if e.kind() == io::ErrorKind::BrokenPipe => Ok(true),
+        Err(e) => Err(InspectError::Write("the screen".into(), e.to_string())),
+    }
+}
+
+/// One line for what is new.
+pub fn plain(news: &News) -> String {
+    match news {
+        News::Estimate(estimate) => {
+            let a = &estimate.attitude;
+            format!(
+                "{:>10.3}  {:<11} heading {:>8.3}°  σ {:>7.4}°  pitch {:>7.3}°  roll {:>7.3}°\n",
+                estimate.t_s,
+                estimate.mode.unwrap_or("unknown"),
+                a.heading_deg,
+                a.heading_sd_deg,
+                a.pitch_deg,
+                a.roll_deg
+            )
+        }
+        News::Said { t_s, level, text } => {
+            let level = level.map_or("host", |level: Level| level.as_str());
+            format!("{t_s:>10.3}  {level:<5} {text}\n")
+        }
+    }
+}
+
+/// What is on the terminal.
+#[derive(Debug, Default)]
+pub struct Screen {
+    said: VecDeque<String>,
+    /// Rows that the next drawing goes over.
+    rows: usize,
+}
+
+impl Screen {
+    /// Keeps what stays on the screen for a while.
+    pub fn note(&mut self, news: &News) {
+        if matches!(news, News::Said { .. }) {
+            if self.said.len() == SAID {
+                self.said.pop_front();
+            }
+            self.said.push_back(plain(news));
+        }
+    }
+
+    /// The screen anew, over the one before.
+    pub fn draw(&mut self, timeline: &Timeline) -> String {
+        let mut text = String::new();
+        if self.rows > 0 {
+            // Up, and clear from there on.
+            let _ = write!(text, "\u{1b}[{}A\u{1b}[J", self.rows);
+        }
+        let screen = self.rows(timeline);
+        self.rows = screen.len();
+        for row in screen {
+            text.extend(row.trim_end().chars().take(WIDTH));
+            text.push('\n');
+        }
+        text
+    }
+
+    fn rows(&self, timeline: &Timeline) -> Vec<String> {
+        let since = timeline.modes.last().map_or(0.0, |span| timeline.to_s - span.from_s);
+        let mut rows = vec![format!(
+            "{} for {since:.0} s, {:.1} s since the start; {}, {}, {} lost",
+            timeline.state(),
+            timeline.to_s,
+            count(timeline.faults.len() as u64, "fault"),
+            count(timeline.resets, "reset"),
+            count(timeline.samples.lost, "sample")
+        )];
+        let estimate = timeline.estimates.last();
+        let figures = figures(estimate, timeline);
+        for (dial, figure) in dial(estimate).iter().zip(figures) {
+            rows.push(format!(" {dial}   {figure}"));
+        }
+        for fault in timeline.faults.iter().rev().take(2) {
+            rows.push(format!("fault {:>8.3} s  {}", fault.t_s, fault.words()));
+        }
+        rows.extend(self.said.iter().cloned());
+        rows
+    }
+}
+
+/// What stands beside the dial, as many rows as it has.
+fn figures(estimate: Option<&EstimateAt>, timeline: &Timeline) -> Vec<String> {
+    let mut rows = vec![String::new()];
+    if let Some(EstimateAt { attitude: a, t_s, .. }) = estimate {
+        rows.push(format!("heading {:>9.3}°", a.heading_deg));
+        rows.push(format!("σ       {:>9.4}°", a.heading_sd_deg));
+        rows.push(format!("pitch   {:>9.3}°", a.pitch_deg));
+        rows.push(format!("roll    {:>9.3}°", a.roll_deg));
+        rows.push(format!("at      {t_s:>9.3} s"));
+    } else if let Some(coarse) = timeline.coarse.last() {
+        rows.push(format!("heading {:>9.2}°, coarse", coarse.heading_deg));
+        rows.push(format!("σ       {:>9.2}°", coarse.heading_sd_deg));
+    } else {
+        rows.push("no estimate yet".to_owned());
+    }
+    rows.resize(2 * REACH.0 as usize + 1, String::new());
+    rows
+}
+
+/// A compass card with a hand: north up, one row of text each.
+fn dial(estimate: Option<&EstimateAt>) -> Vec<String> {
+    let (height, width) = (2 * REACH.0 + 1, 2 * REACH.1 + 1);
+    let mut card = vec![vec![' '; width as usize]; height as usize];
+    let mut put = |bearing_deg: f64, radius: f64, mark: char| {
+        let (sin, cos) = (bearing_deg * DEG).sin_cos();
+        let row = REACH.0 - (f64::from(REACH.0) * radius * cos).round() as i32;
+        let column = REACH.1 + (f64::from(REACH.1) * radius * sin).round() as i32;
+        let cell = card.get_mut(row as usize).and_then(|row| row.get_mut(column as usize));
+        if let Some(cell) = cell {
+            *cell = mark;
+        }
+    };
+    for k in 0..24 {
+        put(15.0 * f64::from(k), 1.0, '·');
+    }
+    for (k, letter) in (0..).zip(['N', 'E', 'S', 'W']) {
+        put(90.0 * f64::from(k), 1.0, letter);
+    }
+    put(0.0, 0.0, '+');
+    if let Some(estimate) = estimate {
+        let heading = estimate.attitude.heading_deg;
+        for k in 1..9 {
+            put(heading, 0.1 * f64::from(k), '*');
+        }
+    }
+    card.into_iter().map(String::from_iter).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::inspect::wording::Attitude;
+
+    fn at(heading_deg: f64) -> EstimateAt {
+        EstimateAt {
+            t_s: 1.0,
+            mode: Some("aligned"),
+            attitude: Attitude {
+                heading_deg,
+                heading_sd_deg: 0.1,
+                pitch_deg: 0.0,
+                roll_deg: 0.0,
+            },
+        }
+    }
+
+    /// The hand points where it should, and the card keeps its size.
+    #[test]
+    fn the_dial_points() {
+        let rows = |heading| -> Vec<Vec<char>> {
+            dial(Some(&at(heading)))
+                .iter()
+                .map(|row| row.chars().collect())
+                .collect()
+        };
+        for (heading, row, column) in [(0.0, 1, 9), (90.0, 4, 15), (180.0, 7, 9), (-90.0, 4, 3), (720.0, 1, 9)] {
+            let rows = rows(heading);
+            assert_eq!(rows[row][column], '*', "{heading}: {rows:?}");
+            assert!(rows.len() == 9 && rows.iter().all(|row| row.len() == 19));
+        }
+        assert!(dial(None).iter().all(|row| !row.contains('*')));
+        let _ = dial(Some(&at(f64::NAN)));
+    }
+
+    #[test]
+    fn a_screen_goes_over_the_one_before_and_does_not_wrap() {
+        let log = "1.0 INFO Mode { from: Idle, to: SelfTest }\n2.0 ERROR Fault(ImuTransfer { error: Crc { computed: \
+                   3203386110, received: 3203386111 }, in_row: 3 })\n3.0 INFO heading 7 deg, sd 1; pitch 2, roll 3\n";
+        let mut written = Vec::new();
+        let timeline = follow(&mut log.as_bytes(), None, true, &mut written).unwrap();
+        let mut screen = Screen::default();
+        let first = screen.draw(&timeline);
+        let second = screen.draw(&timeline);
+        let rows = first.lines().count();
+        assert!(!first.contains('\u{1b}') && second.starts_with(&format!("\u{1b}[{rows}A\u{1b}[J")));
+        assert!(first.lines().all(|row| row.chars().count() <= WIDTH), "{first}");
+        assert!(
+            first.contains("imu-transfer") && first.contains("heading     7.000°"),
+            "{first}"
+        );
+    }
+}
