@@ -67,6 +67,9 @@ struct Cli {
     /// Write the sentences of the serial line to a file instead of among the log
     #[arg(long, value_name = "FILE")]
     nmea: Option<PathBuf>,
+    /// Write the unit's log as a probe gets it, raw frames of defmt: `hal-sim inspect FILE --elf IMAGE` reads them
+    #[arg(long, value_name = "FILE")]
+    rtt: Option<PathBuf>,
     /// Write the result as JSON
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -152,8 +155,20 @@ struct Printer {
     bar: ProgressBar,
     quiet: bool,
     nmea: Option<BufWriter<File>>,
-    /// The first error of writing sentences.
+    rtt: Option<BufWriter<File>>,
+    /// The first error of writing sentences or frames.
     failed: Arc<Mutex<Option<io::Error>>>,
+}
+
+impl Printer {
+    fn keep(&self, written: io::Result<()>) {
+        if let Err(e) = written {
+            self.failed
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .get_or_insert(e);
+        }
+    }
 }
 
 impl Observer for Printer {
@@ -165,15 +180,18 @@ impl Observer for Printer {
 
     fn sentence(&mut self, sentence: &Sentence) {
         if let Some(file) = &mut self.nmea {
-            if let Err(e) = writeln!(file, "{}\r", sentence.text) {
-                self.failed
-                    .lock()
-                    .unwrap_or_else(PoisonError::into_inner)
-                    .get_or_insert(e);
-            }
+            let written = writeln!(file, "{}\r", sentence.text);
+            self.keep(written);
         } else if !self.quiet && !nmea::is_answer(&sentence.text) {
             // An answer is in the log.
             self.bar.suspend(|| print(&format!("{}\n", sentence.text)));
+        }
+    }
+
+    fn rtt(&mut self, bytes: &[u8]) {
+        if let Some(file) = &mut self.rtt {
+            let written = file.write_all(bytes);
+            self.keep(written);
         }
     }
 
@@ -225,22 +243,20 @@ fn command(cli: &Cli) -> Result<Verdict, String> {
     let printer = Printer {
         bar: bar(cli),
         quiet: cli.quiet,
-        nmea: cli
-            .nmea
-            .as_deref()
-            .map(|path| create(path).map(BufWriter::new))
-            .transpose()?,
+        nmea: writer(cli.nmea.as_deref())?,
+        rtt: writer(cli.rtt.as_deref())?,
         failed: Arc::clone(&failed),
     };
     // Before the run: minutes later it would be a pity.
     let json = cli.json.as_deref().map(create).transpose()?;
     let (outcome, printer) = run::run(&image, &setup, printer).map_err(words)?;
     printer.bar.finish_and_clear();
-    if let Some(file) = printer.nmea {
-        file.into_inner().map_err(|e| format!("cannot write sentences: {e}"))?;
+    for file in [printer.nmea, printer.rtt].into_iter().flatten() {
+        file.into_inner()
+            .map_err(|e| format!("cannot write sentences or frames: {e}"))?;
     }
     if let Some(e) = failed.lock().unwrap_or_else(PoisonError::into_inner).take() {
-        return Err(format!("cannot write sentences: {e}"));
+        return Err(format!("cannot write sentences or frames: {e}"));
     }
     if let Some((mut file, path)) = flash.zip(cli.flash.as_deref()) {
         file.rewind()
@@ -264,6 +280,10 @@ fn command(cli: &Cli) -> Result<Verdict, String> {
         serde_json::to_writer_pretty(BufWriter::new(file), &report).map_err(|e| format!("cannot write JSON: {e}"))?;
     }
     Ok(outcome.verdict)
+}
+
+fn writer(path: Option<&Path>) -> Result<Option<BufWriter<File>>, String> {
+    path.map(|path| create(path).map(BufWriter::new)).transpose()
 }
 
 fn create(path: &Path) -> Result<File, String> {

@@ -70,7 +70,7 @@ impl Reader {
     }
 
     /// Reads what is new, as a probe does: from the read offset to the write offset, which is then the read offset.
-    pub(crate) fn read<M: Memory + ?Sized>(&mut self, memory: &mut M, t_ns: u64) -> Vec<Line> {
+    pub(crate) fn read<M: Memory + ?Sized>(&mut self, memory: &mut M) -> Vec<u8> {
         let mut word = |offset| memory.read(self.block + offset, Width::W32).unwrap_or(0);
         let (mark, buffer, size, end, mut at) = (word(0), word(BUFFER), word(SIZE), word(WRITE), word(READ));
         if mark != MARK || end >= size || at >= size || at == end {
@@ -83,10 +83,11 @@ impl Reader {
         }
         // RAM that has answered is there.
         let _ = memory.write(self.block + READ, Width::W32, end);
-        self.decode(&bytes, t_ns)
+        bytes
     }
 
-    fn decode(&mut self, bytes: &[u8], t_ns: u64) -> Vec<Line> {
+    /// The lines that end with these bytes.
+    pub(crate) fn decode(&mut self, bytes: &[u8], t_ns: u64) -> Vec<Line> {
         self.decoder.received(bytes);
         let mut lines = Vec::new();
         loop {

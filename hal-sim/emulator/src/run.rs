@@ -129,6 +129,8 @@ pub trait Observer: Send + 'static {
     fn line(&mut self, _line: &Line) {}
     /// A sentence has come over the serial line.
     fn sentence(&mut self, _sentence: &Sentence) {}
+    /// The unit's log as it is written: frames of defmt, in pieces.
+    fn rtt(&mut self, _bytes: &[u8]) {}
     /// Virtual time has come so far, s.
     fn time(&mut self, _t_s: f64) {}
 }
@@ -529,7 +531,11 @@ impl<O: Observer> World<O> {
     fn look(&mut self, session: &mut Session<Board>, host: &mut dyn Host, stop: Stop) {
         let t_ns = stop.at.0;
         let t_s = t_ns as f64 * 1e-9;
-        for line in self.reader.read(host, t_ns) {
+        let bytes = self.reader.read(host);
+        if !bytes.is_empty() {
+            self.observer.rtt(&bytes);
+        }
+        for line in self.reader.decode(&bytes, t_ns) {
             self.line(line);
         }
         let heard = session.board_mut().part.usart_peer::<Listener>(board::SERIAL);

@@ -10,6 +10,9 @@ use emulator::nmea::Sentence;
 use emulator::outcome::Outcome;
 use emulator::part::BridgeTimer;
 use emulator::run::{self, Observer, PowerCut, Setup, Typed};
+use hal_sim::inspect::defmt::Elf;
+use hal_sim::inspect::timeline::{Source, Timeline};
+use hal_sim::inspect::{self, InspectError};
 use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
 
 /// The release image.
@@ -41,6 +44,8 @@ struct Kept {
     lines: Vec<String>,
     /// Sentences.
     sentences: Vec<String>,
+    /// The log as it was written.
+    rtt: Vec<u8>,
 }
 
 impl Observer for Kept {
@@ -50,6 +55,10 @@ impl Observer for Kept {
 
     fn sentence(&mut self, sentence: &Sentence) {
         self.sentences.push(sentence.text.clone());
+    }
+
+    fn rtt(&mut self, bytes: &[u8]) {
+        self.rtt.extend_from_slice(bytes);
     }
 }
 
@@ -64,6 +73,46 @@ fn run(setup: &Setup) -> (Outcome, Kept) {
     (outcome, kept)
 }
 
+fn inspected(bytes: &[u8]) -> Result<Timeline, InspectError> {
+    inspect::of_bytes(bytes, Some(Elf::read(&Image::release()).unwrap()))
+}
+
+/// What `hal-sim inspect` makes of the log, raw and printed, is what the run was.
+fn inspects_to(outcome: &Outcome, kept: &Kept) {
+    let raw = inspected(&kept.rtt).unwrap();
+    let printed = inspect::of_bytes(kept.lines.join("\n").as_bytes(), None).unwrap();
+    assert_eq!((raw.source, printed.source), (Source::Defmt, Source::Text));
+    assert_eq!(raw.damaged, 0);
+    // The emulator's own lines are not the image's.
+    let lines = kept.lines.iter().filter(|line| !line.contains("] HOST"));
+    assert_eq!(raw.lines, lines.count() as u64);
+    assert_eq!(
+        raw.understood, raw.lines,
+        "a line of the image that inspect does not understand"
+    );
+
+    for timeline in [&raw, &printed] {
+        assert_eq!(timeline.modes.len(), outcome.modes.len(), "{:?}", timeline.modes);
+        assert_eq!(timeline.resets, outcome.resets.len() as u64, "{:?}", timeline.starts);
+        assert_eq!(timeline.faults.len(), outcome.faults.len(), "{:?}", timeline.faults);
+        for (found, fault) in timeline.faults.iter().zip(&outcome.faults) {
+            assert!(fault.text.contains(&found.text), "{found:?} {fault:?}");
+        }
+        for (found, mode) in timeline.modes.iter().zip(&outcome.modes) {
+            assert_eq!(found.mode, mode.mode);
+            // Read within a millisecond of being written. The image's clock begins with the image, and anew after a reset.
+            if outcome.resets.is_empty() {
+                assert!((found.from_s - mode.t_s).abs() < 2e-3, "{found:?} {mode:?}");
+            }
+        }
+    }
+    // The same figures by both ways.
+    assert_eq!(raw.estimates.len(), printed.estimates.len());
+    for (raw, printed) in raw.estimates.iter().zip(&printed.estimates) {
+        assert_eq!((raw.attitude, raw.mode), (printed.attitude, printed.mode));
+    }
+}
+
 /// Until 80 s: aligned with a σ below a degree, in time for the gate.
 #[test]
 fn the_image_homes_and_aligns() {
@@ -76,7 +125,15 @@ fn the_image_homes_and_aligns() {
         outcome.faults
     );
 
+    inspects_to(&outcome, &kept);
+    let timeline = inspected(&kept.rtt).unwrap();
+    assert_eq!(timeline.coarse.len(), 1);
     let last = outcome.last.unwrap();
+    let told = timeline.estimates.last().unwrap();
+    assert!(timeline.estimates.len() > 5 && last.t_s - told.t_s < 1.2, "{told:?}");
+    let sd = told.attitude.heading_sd_deg / last.sd.heading_deg;
+    assert!((0.95..1.1).contains(&sd), "{told:?} {last:?}");
+
     assert!(last.t_s > 78.0, "{}", last.t_s);
     assert!(last.sigmas().abs() < 3.0, "{last:?}");
     assert!(last.sd.heading_deg < 1.0, "{last:?}");
@@ -226,6 +283,48 @@ fn the_flash_outlives_a_power_cut() {
     ));
 }
 
+/// A fault, its retry, a reset: from the log as from the run. A log that is damaged tells what is sound in it, and that of
+/// another image is refused.
+#[test]
+fn a_log_is_inspected() {
+    let mut scenario = broken(FaultKind::EncoderSilent, 9.0, 0.5);
+    scenario.fault.push(FaultAt {
+        at_s: 16.0,
+        for_s: Some(1.0),
+        kind: FaultKind::HangMotor,
+    });
+    let (outcome, kept) = run(&Setup::new(scenario, 1, 24.0));
+    assert_eq!((outcome.faults.len(), outcome.resets.len()), (1, 1));
+    inspects_to(&outcome, &kept);
+    let whole = inspected(&kept.rtt).unwrap();
+    assert_eq!(whole.faults[0].name, "encoder-invalid");
+    assert_eq!(whole.faults[0].retry.map(|(attempt, _)| attempt), Some(1));
+    assert_eq!(whole.starts[1].cause.as_deref(), Some("Watchdog"));
+    assert_eq!(whole.state(), outcome.state);
+
+    let mut damaged = kept.rtt.clone();
+    damaged[200] ^= 0x55;
+    let damaged = inspected(&damaged[7..]).unwrap();
+    assert!((1..=3).contains(&damaged.damaged), "{damaged:?}");
+    assert!(damaged.lines + 4 >= whole.lines && damaged.state() == whole.state());
+
+    // The places of the texts moved by some, as in a build with lines more: of the line's, and of what is put into it.
+    let other: Vec<u8> = kept
+        .rtt
+        .split(|b| *b == 0)
+        .filter(|frame| !frame.is_empty())
+        .flat_map(|frame| {
+            let mut frame = rzcobs::decode(frame).unwrap();
+            for k in [0, 10] {
+                frame[k] = frame[k].wrapping_add(3);
+            }
+            rzcobs::encode(&frame).into_iter().chain([0])
+        })
+        .collect();
+    let refused = inspected(&other).unwrap_err();
+    assert!(matches!(refused, InspectError::WrongElf { .. }), "{refused}");
+}
+
 #[test]
 fn memory_by_section_is_what_the_linker_says() {
     let image = image();
@@ -252,7 +351,11 @@ fn the_command_tells_by_its_exit_code() {
         let output = command.args(args).output().unwrap();
         (output.status.code(), String::from_utf8(output.stdout).unwrap())
     };
-    let (code, text) = command(&["--seconds", "2"]);
+    let rtt = std::env::temp_dir().join(format!("emulated-{}.rtt", std::process::id()));
+    let (code, text) = command(&["--seconds", "2", "--rtt", &rtt.display().to_string()]);
+    let bytes = std::fs::read(&rtt).unwrap();
+    std::fs::remove_file(&rtt).unwrap();
+    assert_eq!(inspected(&bytes).unwrap().state(), "homing");
     assert_eq!(code, Some(1), "{text}");
     assert!(text.contains("started by") && text.contains("not aligned") && text.contains("$HETHS,,V*14"));
     assert_eq!(command(&["no such image"]).0, Some(2));

@@ -300,7 +300,8 @@ impl Timeline {
 
     /// Takes a line of the log.
     pub(super) fn line(&mut self, line: Line) -> Option<News> {
-        let told = self.wording.read(&line.text);
+        // What a host says among it are not the unit's words: echoes of what is typed, for instance.
+        let told = line.level.and_then(|_| self.wording.read(&line.text));
         self.lines += 1;
         self.understood += u64::from(told.is_some());
         let (t_s, back) = self.time(line.t_s);
