@@ -45,6 +45,7 @@ pub mod log;
 pub mod mode;
 pub mod motor;
 pub mod nmea;
+pub mod nmea_in;
 pub mod output;
 pub mod record;
 pub mod rotor;
