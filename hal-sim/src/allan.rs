@@ -30,7 +30,7 @@ use nalgebra::{Matrix3, Vector3};
 use nav::calibration::REST_TRAVEL;
 use serde::Serialize;
 
-use crate::log::{LogError, LogReader};
+use crate::log::{LogError, LogReader, Place};
 use crate::plot::PlotError;
 use crate::reproduce::figure::{self, Axis, Chart, Curve};
 use crate::unit::Unit;
@@ -63,8 +63,8 @@ pub enum AllanError {
     },
     /// The rotor turned: its errors would hide those of the gyros.
     Turning {
-        /// Line of the log.
-        line: u64,
+        /// Where in the log.
+        at: Place,
     },
     /// More than a thousandth of the rows is missing.
     Gaps {
@@ -83,10 +83,14 @@ impl core::fmt::Display for AllanError {
                 f,
                 "{samples} samples are too few: record some hours at rest, {MIN_SAMPLES} samples are the least"
             ),
-            Self::Turning { line } => write!(
-                f,
-                "line {line}: the rotor turns: record with the rotor at rest, on a base that does not move"
-            ),
+            Self::Turning { at } => {
+                // A byte says so itself.
+                let line = if matches!(at, Place::Line(_)) { "line " } else { "" };
+                write!(
+                    f,
+                    "{line}{at}: the rotor turns: record with the rotor at rest, on a base that does not move"
+                )
+            }
             Self::Gaps { missing, rows } => {
                 write!(f, "{missing} rows are missing beside {rows}: record without gaps")
             }
@@ -444,7 +448,7 @@ pub fn of_log(path: &Path) -> Result<Report, AllanError> {
         // Known once rows have been looked at.
         let dt = *dt.get_or_insert(reader.nominal_dt_s().unwrap_or(row.dt_s));
         if (row.encoder - *stand.get_or_insert(row.encoder)).abs() > REST_TRAVEL {
-            return Err(AllanError::Turning { line: row.line });
+            return Err(AllanError::Turning { at: row.at });
         }
         // Rows that are missing are put in as their neighbour: a thousandth of them at most.
         let lost = row.gap.as_ref().map_or(0, |gap| gap.missing);
@@ -790,7 +794,7 @@ mod tests {
         let dir = tempfile::TempDir::new().unwrap();
         let log = dir.path().join("a.csv");
         logged(&log, 100.0, |k| if k > 500 { 0.01 } else { 0.0 }, |_| true);
-        assert_eq!(of_log(&log), Err(AllanError::Turning { line: 502 }));
+        assert_eq!(of_log(&log), Err(AllanError::Turning { at: Place::Line(502) }));
         logged(&log, 100.0, |_| 0.0, |k| k < 500);
         assert_eq!(of_log(&log), Err(AllanError::TooShort { samples: 499 }));
         logged(&log, 100.0, |_| 0.0, |k| k % 100 > 10);

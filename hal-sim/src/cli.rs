@@ -14,7 +14,7 @@ use hal_sim::bound::{self, Bound, BoundConfig};
 use hal_sim::bus::UartLine;
 use hal_sim::calibrate::{self, CalibrateError, Stand};
 use hal_sim::inspect::{self, defmt::Elf, live, live::Tail};
-use hal_sim::log::{LogRow, LogWarning, LogWriter};
+use hal_sim::log::{LogReader, LogRow, LogWarning, LogWriter, UnitStatus, convert};
 use hal_sim::monte_carlo::{self, MethodReport, READY_SD_DEG, Statistics};
 use hal_sim::observability::{self, Attitude, Axis, Segment};
 use hal_sim::replay::{self, Replay};
@@ -64,6 +64,13 @@ enum Command {
     Allan(AllanArgs),
     /// Biases, misalignments and scale factor of the gyros from a log of a rest and a turn
     Calibrate(CalibrateArgs),
+    /// Write a log, also the recording of a unit's serial line, as CSV
+    Convert {
+        /// Log to read
+        log: PathBuf,
+        /// CSV to write
+        csv: PathBuf,
+    },
     /// Reproduce the papers' tables and figures: what is published beside ours
     Reproduce(ReproduceArgs),
     /// Inspect a unit's log: modes, estimates, faults, resets with their times, as table, CSV and chart
@@ -163,15 +170,16 @@ struct UnitArgs {
 
 #[derive(Args)]
 struct ReplayArgs {
-    /// CSV log: t_s, gyro_x/y/z_rad_s, accel_x/y/z_m_s2, encoder_rad by header, in any order
+    /// CSV log: t_s, gyro_x/y/z_rad_s, accel_x/y/z_m_s2, encoder_rad by header, in any order; or the recording of a
+    /// unit's serial line
     log: PathBuf,
-    /// Geodetic latitude of the place, degrees, north positive
+    /// Geodetic latitude of the place, degrees, north positive (default: the unit's, which a recording holds)
     #[arg(long, value_name = "L", allow_negative_numbers = true)]
-    latitude_deg: f64,
-    /// Height above the ellipsoid, m
-    #[arg(long, value_name = "H", default_value_t = 0.0, allow_negative_numbers = true)]
-    height_m: f64,
-    /// Noise and bias figures of the IMU (default: those of the main paper, Table 2)
+    latitude_deg: Option<f64>,
+    /// Height above the ellipsoid, m (default: the recording's, or 0)
+    #[arg(long, value_name = "H", allow_negative_numbers = true)]
+    height_m: Option<f64>,
+    /// Noise and bias figures of the IMU (default: the recording's, or those of the main paper, Table 2)
     #[arg(long, value_name = "UNIT.toml")]
     unit: Option<PathBuf>,
     /// Fine filter
@@ -312,6 +320,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Observability(args) => observe(&args),
         Command::Allan(args) => allan(&args),
         Command::Calibrate(args) => calibrate(&args),
+        Command::Convert { log, csv } => convert_log(&log, &csv, cli.quiet),
         Command::Reproduce(args) => reproduce(&args, cli.quiet),
         Command::Inspect(args) => inspect(&args),
         Command::Scenarios { name } => scenarios(name.as_deref()),
@@ -768,23 +777,33 @@ impl replay::Observer for ReplayObserver {
         }
     }
 
+    fn status(&mut self, status: &UnitStatus) {
+        told(&self.bar, self.quiet, status.t_s, &format!("unit: {status}"));
+    }
+
     fn warning(&mut self, warning: &LogWarning) {
         self.bar.suspend(|| eprintln!("warning: {warning}"));
     }
 }
 
 fn replay(args: &ReplayArgs, quiet: bool) -> Done {
-    let unit = match &args.unit {
-        None => Unit::default(),
-        Some(path) => Unit::load(path).map_err(words)?,
+    let log = LogReader::open(&args.log).map_err(words)?;
+    let mut setup = match (log.header(), args.latitude_deg) {
+        (Some(header), _) => replay::recorded(header, args.method),
+        (None, Some(latitude_deg)) => Setup {
+            latitude_deg,
+            height_m: 0.0,
+            rotor: RotorConfig::default(),
+            unit: Unit::default(),
+            method: args.method,
+        },
+        (None, None) => return Err("a CSV log does not say where it was recorded: add --latitude-deg L".to_owned()),
     };
-    let setup = Setup {
-        latitude_deg: args.latitude_deg,
-        height_m: args.height_m,
-        rotor: RotorConfig::default(),
-        unit,
-        method: args.method,
-    };
+    setup.latitude_deg = args.latitude_deg.unwrap_or(setup.latitude_deg);
+    setup.height_m = args.height_m.unwrap_or(setup.height_m);
+    if let Some(path) = &args.unit {
+        setup.unit = Unit::load(path).map_err(words)?;
+    }
     let bar = if quiet {
         ProgressBar::hidden()
     } else {
@@ -797,7 +816,13 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
         bridged: 0,
         bridged_s: 0.0,
     };
-    let result = replay::replay(&args.log, &setup, &mut observer).map_err(words)?;
+    if let Some(header) = log.header().filter(|_| !quiet) {
+        eprintln!(
+            "recorded by unit {}, firmware {}, IMU {} serial {}",
+            header.serial, header.firmware, header.imu.product, header.imu.serial
+        );
+    }
+    let result = replay::replay_from(log, &setup, &mut observer).map_err(words)?;
     observer.bar.finish_and_clear();
     if observer.bridged > 0 {
         eprintln!(
@@ -816,6 +841,17 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
         print(&replay_table(&result))?;
     }
     Ok(exit(result.state))
+}
+
+fn convert_log(log: &Path, csv: &Path, quiet: bool) -> Done {
+    let (rows, warnings) = convert(log, csv)?;
+    for warning in warnings {
+        eprintln!("warning: {warning}");
+    }
+    if !quiet {
+        eprintln!("{rows} rows");
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 fn replay_table(result: &Replay) -> String {

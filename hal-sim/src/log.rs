@@ -1,4 +1,4 @@
-//! Recorded logs: CSV with one row a sample, written and read as a stream.
+//! Recorded logs, read as a stream: CSV with one row a sample, or what a unit's serial line carried while it recorded.
 //!
 //! ```text
 //! t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2,encoder_rad[,temperature_c]
@@ -8,21 +8,27 @@
 //! first interval is as long as the second. Columns are found by their names, in any order; other columns are ignored.
 //! Blank lines, CRLF, a byte order mark and quoted fields are accepted.
 //!
+//! A recording is the frames of [`app::record`] amid sentences and whatever else a line carries; `docs/log.md` has its
+//! layout. It holds the unit's own intervals and flags, which a CSV has no columns for.
+//!
 //! Memory is bounded whatever the file holds: a line is at most [`MAX_LINE`] bytes and rows are not kept.
 //!
 //! [`LogReader`] refuses what cannot be read. Whether readable figures can be true is for [`Checker`].
 
+mod binary;
 mod check;
+mod csv;
 #[cfg(test)]
 mod tests;
 
-use std::collections::VecDeque;
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::io::{self, BufRead, BufReader, BufWriter, Chain, Cursor, Read, Write};
 use std::path::Path;
 
+use app::record::{self, Taken};
 use frames::{Sensor, Vec3};
 
+pub use binary::{Header, Loss, Lost, UnitStatus};
 pub use check::{Checker, LogWarning, WarningKind};
 
 /// The columns every log has, in the order they are written.
@@ -42,12 +48,6 @@ pub const TEMPERATURE: &str = "temperature_c";
 
 /// Longest line accepted, bytes. A row takes about 150.
 pub const MAX_LINE: usize = 4096;
-
-/// An interval this many times the nominal one has rows missing.
-const GAP_FACTOR: f64 = 1.5;
-
-/// The nominal interval is the median of the intervals between this many rows at the start.
-const LOOK_AHEAD: usize = 33;
 
 /// Largest magnitude accepted, by column: beyond any sensor in any unit one could have taken by mistake, and well
 /// within f32.
@@ -111,6 +111,26 @@ pub enum LogProblem {
     NotText(usize),
     /// Rows too far apart or too close to be seconds; the interval as read.
     TimeStep(f64),
+    /// What a unit sends, but no frame of a record in it.
+    NoRecord {
+        /// Whole sentences of NMEA 0183.
+        sentences: u64,
+    },
+    /// Frames of a record, but no header.
+    NoRecordHeader {
+        /// Frames there are.
+        frames: u64,
+    },
+    /// A record of another version.
+    RecordVersion {
+        /// Its version.
+        found: u8,
+    },
+    /// A record in which the rotor's angle is never known.
+    NoAngle {
+        /// Samples there are.
+        samples: u64,
+    },
     /// The accelerometer's mean norm is not gravity's, but would be in another unit.
     AccelUnit {
         /// Mean norm, as read.
@@ -197,6 +217,24 @@ impl core::fmt::Display for LogProblem {
                 f,
                 "t_s grows by {dt:.3e} from row to row: it must be in seconds, with 5 to 20000 rows a second"
             ),
+            Self::NoRecord { sentences } => write!(
+                f,
+                "{sentences} sentences, but no record of samples: switch recording on in the unit"
+            ),
+            Self::NoRecordHeader { frames } => write!(
+                f,
+                "{frames} frames of a record, but no header, which comes once a second: record for longer"
+            ),
+            Self::RecordVersion { found } => write!(
+                f,
+                "a record of version {found} where this program reads {}: use the program that belongs to the unit's \
+                 firmware",
+                record::VERSION
+            ),
+            Self::NoAngle { samples } => write!(
+                f,
+                "the rotor's angle is known in none of {samples} samples: let the unit home, or check its encoder"
+            ),
             Self::AccelUnit { mean, unit, factor } => write!(
                 f,
                 "the accelerometers read {mean:.3} on average where gravity is 9.8 m/s²: they look like {unit}, \
@@ -241,13 +279,31 @@ impl core::fmt::Display for LogProblem {
     }
 }
 
+/// Where in a log something is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    /// Line of a CSV, from 1 for the header.
+    Line(u64),
+    /// Bytes before it in a recording of a unit's line.
+    Byte(u64),
+}
+
+impl core::fmt::Display for Place {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Line(line) => line.fmt(f),
+            Self::Byte(byte) => write!(f, "byte {byte}"),
+        }
+    }
+}
+
 /// One line about a log: `file:line: what is wrong and what to do`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LogError {
     /// The file's name as it was given.
     pub file: String,
-    /// The line, from 1 for the header; `None` where the trouble is the file.
-    pub line: Option<u64>,
+    /// Where; `None` where the trouble is the file.
+    pub at: Option<Place>,
     /// What is wrong.
     pub problem: LogProblem,
 }
@@ -255,8 +311,8 @@ pub struct LogError {
 impl core::fmt::Display for LogError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(&self.file)?;
-        if let Some(line) = self.line {
-            write!(f, ":{line}")?;
+        if let Some(at) = self.at {
+            write!(f, ":{at}")?;
         }
         write!(f, ": {}", self.problem)
     }
@@ -278,8 +334,8 @@ pub struct Gap {
 /// One sample of a log.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LogRow {
-    /// Line in the file, from 1 for the header.
-    pub line: u64,
+    /// Where it is in the file.
+    pub at: Place,
     /// End of the interval, s.
     pub t_s: f64,
     /// From the end of the row before, s. After a gap all of it.
@@ -295,6 +351,8 @@ pub struct LogRow {
     /// Where rows are missing before this one: the means of the row are then those of its own nominal interval, the
     /// last part of `dt_s`.
     pub gap: Option<Gap>,
+    /// What the unit's alignment made of it, where the unit recorded that.
+    pub taken: Option<Taken>,
 }
 
 impl LogRow {
@@ -378,79 +436,23 @@ impl<W: Write> LogWriter<W> {
     }
 }
 
-/// How a line ended.
-enum Line {
-    /// By a line feed.
-    Complete,
-    /// By the end of the file.
-    Unterminated,
-    /// There was none.
-    End,
-}
+/// Bytes at the start of a file by which it is told what it is: two seconds of a recording.
+const LOOK: usize = 1 << 14;
 
-/// A row before its interval is known.
-#[derive(Debug, Clone, Copy)]
-struct RawRow {
-    line: u64,
-    /// [`COLUMNS`], then temperature.
-    values: [f64; 9],
-}
+/// The start of a file that has been looked at, and the rest.
+type Whole<R> = Chain<Cursor<Vec<u8>>, R>;
 
-impl RawRow {
-    fn t_s(&self) -> f64 {
-        self.values[0]
-    }
-}
-
-/// How the numbers of the last column are written: decimals, and whether an exponent follows. A last line that has no
-/// line feed is complete only if its last number looks like all before it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Spelling {
-    Unknown,
-    Always(usize, bool),
-    Varies,
-}
-
-impl Spelling {
-    fn of(number: &str) -> Self {
-        let decimals = number
-            .split_once('.')
-            .map_or(0, |(_, rest)| rest.bytes().take_while(u8::is_ascii_digit).count());
-        Self::Always(decimals, number.contains(['e', 'E']))
-    }
-
-    fn learn(&mut self, next: Self) {
-        *self = match *self {
-            Self::Unknown => next,
-            known if known == next => known,
-            _ => Self::Varies,
-        };
-    }
-
-    fn allows(self, next: Self) -> bool {
-        matches!(self, Self::Unknown | Self::Varies) || self == next
-    }
+#[derive(Debug)]
+enum Source<R: BufRead> {
+    Csv(Box<csv::Reader<Whole<R>>>),
+    Binary(Box<binary::Reader<Whole<R>>>),
 }
 
 /// Reads a log as an iterator of rows, in constant memory. The first error ends it.
+///
+/// What it is, CSV or the recording of a unit's line, is told by its content.
 #[derive(Debug)]
-pub struct LogReader<R: BufRead> {
-    input: R,
-    file: String,
-    line: u64,
-    buffer: Vec<u8>,
-    /// For each field of a row, its place in [`RawRow::values`]; `None` for columns that are ignored.
-    fields: Vec<Option<usize>>,
-    has_temperature: bool,
-    spelling: Spelling,
-    previous_t: Option<f64>,
-    /// Rows read ahead to find the nominal interval.
-    ahead: VecDeque<Result<RawRow, LogError>>,
-    nominal: Option<f64>,
-    /// Time of the row given last.
-    given_t: Option<f64>,
-    done: bool,
-}
+pub struct LogReader<R: BufRead>(Source<R>);
 
 impl LogReader<BufReader<File>> {
     /// Opens a file and reads its header.
@@ -461,12 +463,16 @@ impl LogReader<BufReader<File>> {
         let name = path.display().to_string();
         match File::open(path) {
             Ok(file) => Self::new(BufReader::with_capacity(1 << 16, file), &name),
-            Err(error) => Err(LogError {
-                file: name,
-                line: None,
-                problem: LogProblem::Read(error.to_string()),
-            }),
+            Err(error) => Err(cannot_read(&name, &error)),
         }
+    }
+}
+
+fn cannot_read(file: &str, error: &io::Error) -> LogError {
+    LogError {
+        file: file.to_owned(),
+        at: None,
+        problem: LogProblem::Read(error.to_string()),
     }
 }
 
@@ -475,315 +481,112 @@ impl<R: BufRead> LogReader<R> {
     ///
     /// # Errors
     /// [`LogError`] where there is no header or it lacks something.
-    pub fn new(input: R, file_name: &str) -> Result<Self, LogError> {
-        let mut reader = Self {
-            input,
-            file: file_name.to_owned(),
-            line: 0,
-            buffer: Vec::with_capacity(256),
-            fields: Vec::new(),
-            has_temperature: false,
-            spelling: Spelling::Unknown,
-            previous_t: None,
-            ahead: VecDeque::with_capacity(LOOK_AHEAD),
-            nominal: None,
-            given_t: None,
-            done: false,
-        };
-        reader.header()?;
-        Ok(reader)
+    pub fn new(mut input: R, file_name: &str) -> Result<Self, LogError> {
+        let mut start = Vec::with_capacity(LOOK);
+        let looked = (&mut input).take(LOOK as u64).read_to_end(&mut start);
+        looked.map_err(|error| cannot_read(file_name, &error))?;
+        let binary = binary::is_recording(&start);
+        let whole = Cursor::new(start).chain(input);
+        Ok(Self(if binary {
+            Source::Binary(Box::new(binary::Reader::new(whole, file_name)?))
+        } else {
+            Source::Csv(Box::new(csv::Reader::new(whole, file_name)?))
+        }))
     }
 
     /// The file's name as it was given.
     pub fn file_name(&self) -> &str {
-        &self.file
+        match &self.0 {
+            Source::Csv(reader) => reader.file_name(),
+            Source::Binary(reader) => reader.file_name(),
+        }
     }
 
-    /// The median interval at the start of the log, s; `None` before the first row was asked for.
+    /// The interval that rows should have, s: the median at the start of a CSV, the first of a recording; `None` before
+    /// the first row was asked for.
     pub fn nominal_dt_s(&self) -> Option<f64> {
-        self.nominal
-    }
-
-    fn error(&self, problem: LogProblem) -> LogError {
-        LogError {
-            file: self.file.clone(),
-            line: (self.line > 0).then_some(self.line),
-            problem,
+        match &self.0 {
+            Source::Csv(reader) => reader.nominal_dt_s(),
+            Source::Binary(reader) => reader.nominal_dt_s(),
         }
     }
 
-    /// Reads the next line that is not blank into the buffer, without its end.
-    fn read_line(&mut self) -> Result<Line, LogError> {
-        loop {
-            self.buffer.clear();
-            let mut ended = Line::End;
-            loop {
-                let chunk = match self.input.fill_buf() {
-                    Ok(chunk) => chunk,
-                    Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-                    Err(error) => return Err(self.error(LogProblem::Read(error.to_string()))),
-                };
-                if chunk.is_empty() {
-                    break;
-                }
-                if matches!(ended, Line::End) {
-                    self.line += 1;
-                    ended = Line::Unterminated;
-                }
-                let feed = chunk.iter().position(|byte| *byte == b'\n');
-                let take = feed.unwrap_or(chunk.len());
-                if self.buffer.len() + take > MAX_LINE {
-                    // A compressed file has no lines either, and deserves the better message.
-                    self.buffer.extend(chunk.iter().take(2));
-                    return Err(self.error(self.not_csv(LogProblem::LongLine)));
-                }
-                self.buffer.extend_from_slice(&chunk[..take]);
-                self.input.consume(take + usize::from(feed.is_some()));
-                if feed.is_some() {
-                    ended = Line::Complete;
-                    break;
-                }
-            }
-            if self.line == 1 && self.buffer.starts_with(b"\xef\xbb\xbf") {
-                self.buffer.drain(..3);
-            }
-            if matches!(ended, Line::End) || !self.buffer.iter().all(u8::is_ascii_whitespace) {
-                return Ok(ended);
-            }
+    /// What a recording says of the unit: the header read last. A CSV says nothing.
+    pub fn header(&self) -> Option<&Header> {
+        match &self.0 {
+            Source::Csv(_) => None,
+            Source::Binary(reader) => Some(reader.header()),
         }
     }
 
-    /// The problem, unless the file is a gzip one.
-    fn not_csv(&self, problem: LogProblem) -> LogProblem {
-        if self.line == 1 && self.buffer.starts_with(b"\x1f\x8b") {
-            LogProblem::Compressed
-        } else {
-            problem
+    /// The next mode or fault that a recording tells of, up to the row given last; beyond the latest hundred they are
+    /// forgotten.
+    pub fn next_status(&mut self) -> Option<UnitStatus> {
+        match &mut self.0 {
+            Source::Csv(_) => None,
+            Source::Binary(reader) => reader.next_status(),
         }
     }
 
-    fn text(&self) -> Result<&str, LogError> {
-        core::str::from_utf8(&self.buffer)
-            .map_err(|e| self.error(self.not_csv(LogProblem::NotText(e.valid_up_to() + 1))))
-    }
-
-    fn header(&mut self) -> Result<(), LogError> {
-        if matches!(self.read_line()?, Line::End) {
-            self.line = 0;
-            return Err(self.error(LogProblem::Empty));
-        }
-        let text = self.text()?;
-        if field(text.split(',').next().unwrap_or_default()).parse::<f64>().is_ok() {
-            return Err(self.error(LogProblem::NoHeader));
-        }
-        let names = || COLUMNS.into_iter().chain([TEMPERATURE]);
-        let fields: Vec<_> = text
-            .split(',')
-            .map(|name| names().position(|known| known == field(name)))
-            .collect();
-        let count = |place| fields.iter().filter(|found| **found == Some(place)).count();
-        if let Some((_, name)) = names().enumerate().find(|(place, _)| count(*place) > 1) {
-            return Err(self.error(LogProblem::DuplicateColumn(name)));
-        }
-        let missing: Vec<_> = COLUMNS
-            .into_iter()
-            .enumerate()
-            .filter(|(place, _)| count(*place) == 0)
-            .map(|(_, name)| name)
-            .collect();
-        if !missing.is_empty() {
-            return Err(self.error(LogProblem::MissingColumns(missing)));
-        }
-        self.has_temperature = count(COLUMNS.len()) > 0;
-        self.fields = fields;
-        Ok(())
-    }
-
-    fn read_row(&mut self) -> Option<Result<RawRow, LogError>> {
-        let line = match self.read_line() {
-            Ok(line) => line,
-            Err(error) => return Some(Err(error)),
-        };
-        let whole = match line {
-            Line::End => return None,
-            Line::Complete => true,
-            Line::Unterminated => false,
-        };
-        Some(match self.parse_row() {
-            Ok((_, last)) if !whole && !self.spelling.allows(last) => Err(self.error(LogProblem::Truncated)),
-            Ok((row, last)) => {
-                self.spelling.learn(last);
-                self.in_time(row)
-            }
-            Err(error) if !whole && self.is_cut(&error.problem) => Err(self.error(LogProblem::Truncated)),
-            Err(error) => Err(error),
-        })
-    }
-
-    /// Whether a problem of the last line is that its end is missing.
-    fn is_cut(&self, problem: &LogProblem) -> bool {
-        match problem {
-            LogProblem::FieldCount { found, expected } => found < expected,
-            LogProblem::NotText(byte) => *byte + 3 >= self.buffer.len(),
-            LogProblem::NotANumber { column, text } => {
-                let last = self.fields.last().copied().flatten();
-                last.is_some_and(|place| name_of(place) == *column) && text.parse::<f64>().is_err()
-            }
-            _ => false,
+    /// What of a recording was lost or is of no use so far.
+    pub fn loss(&self) -> Option<&Loss> {
+        match &self.0 {
+            Source::Csv(_) => None,
+            Source::Binary(reader) => Some(reader.loss()),
         }
     }
 
-    /// The row, and how its last number is written.
-    fn parse_row(&self) -> Result<(RawRow, Spelling), LogError> {
-        let text = self.text()?;
-        let found = text.split(',').count();
-        if found != self.fields.len() {
-            return Err(self.error(LogProblem::FieldCount {
-                found,
-                expected: self.fields.len(),
-            }));
-        }
-        let mut values = [0.0; 9];
-        for (text, place) in text.split(',').zip(&self.fields) {
-            let Some(place) = *place else { continue };
-            let column = name_of(place);
-            let text = field(text);
-            let value = text
-                .parse::<f64>()
-                .ok()
-                .filter(|value| value.is_finite())
-                .ok_or_else(|| {
-                    self.error(LogProblem::NotANumber {
-                        column,
-                        text: shorten(text),
-                    })
-                })?;
-            if value.abs() > LIMITS[place] {
-                return Err(self.error(LogProblem::TooLarge { column, value }));
-            }
-            values[place] = value;
-        }
-        let last = Spelling::of(text.rsplit(',').next().map(field).unwrap_or_default());
-        Ok((
-            RawRow {
-                line: self.line,
-                values,
-            },
-            last,
-        ))
+    /// The same as warnings.
+    pub fn warnings(&self) -> Vec<LogWarning> {
+        self.loss()
+            .map_or_else(Vec::new, |loss| loss.warnings(self.file_name()))
     }
-
-    fn in_time(&mut self, row: RawRow) -> Result<RawRow, LogError> {
-        let now = row.t_s();
-        if let Some(previous) = self.previous_t.filter(|previous| *previous >= now) {
-            return Err(self.error(LogProblem::Time { previous, now }));
-        }
-        self.previous_t = Some(now);
-        Ok(row)
-    }
-
-    /// Reads the first rows and takes their median interval for the nominal one.
-    fn look_ahead(&mut self) -> Option<LogError> {
-        while self.ahead.len() < LOOK_AHEAD {
-            match self.read_row() {
-                None => break,
-                Some(row) => {
-                    let failed = row.is_err();
-                    self.ahead.push_back(row);
-                    if failed {
-                        break;
-                    }
-                }
-            }
-        }
-        let times: Vec<_> = self.ahead.iter().flatten().map(RawRow::t_s).collect();
-        let mut intervals: Vec<_> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        intervals.sort_by(f64::total_cmp);
-        self.nominal = intervals.get(intervals.len() / 2).copied();
-        if self.nominal.is_some() {
-            return None;
-        }
-        match self.ahead.pop_back() {
-            Some(Err(error)) => Some(error),
-            Some(Ok(_)) => Some(self.error(LogProblem::SingleRow)),
-            None => Some(self.error(LogProblem::NoRows)),
-        }
-    }
-
-    fn finish_row(&mut self, row: RawRow, nominal: f64) -> LogRow {
-        let t_s = row.t_s();
-        let limit = GAP_FACTOR * nominal;
-        let (dt_s, gap) = match self.given_t {
-            Some(previous) => {
-                let dt_s = t_s - previous;
-                let gap = (dt_s > limit).then(|| Gap {
-                    after_s: previous,
-                    nominal_dt_s: nominal,
-                    missing: (dt_s / nominal).round() as u64 - 1,
-                });
-                (dt_s, gap)
-            }
-            None => {
-                let second = self
-                    .ahead
-                    .front()
-                    .and_then(|next| next.as_ref().ok())
-                    .map(|next| next.t_s() - t_s);
-                (second.filter(|dt_s| *dt_s <= limit).unwrap_or(nominal), None)
-            }
-        };
-        self.given_t = Some(t_s);
-        let [_, wx, wy, wz, fx, fy, fz, encoder, temperature] = row.values;
-        LogRow {
-            line: row.line,
-            t_s,
-            dt_s,
-            w_is_s: Vec3::new(wx, wy, wz),
-            f_is_s: Vec3::new(fx, fy, fz),
-            encoder,
-            temperature_c: self.has_temperature.then_some(temperature),
-            gap,
-        }
-    }
-}
-
-/// The column at a place in [`RawRow::values`].
-fn name_of(place: usize) -> &'static str {
-    COLUMNS.get(place).copied().unwrap_or(TEMPERATURE)
-}
-
-/// A field without blanks and quotes around it.
-fn field(text: &str) -> &str {
-    text.trim().trim_matches('"').trim()
 }
 
 impl<R: BufRead> Iterator for LogReader<R> {
     type Item = Result<LogRow, LogError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        if self.done {
-            return None;
-        }
-        if self.nominal.is_none()
-            && let Some(error) = self.look_ahead()
-        {
-            self.done = true;
-            return Some(Err(error));
-        }
-        let row = match self.ahead.pop_front() {
-            Some(row) => Some(row),
-            None => self.read_row(),
-        };
-        match (row, self.nominal) {
-            (Some(Ok(row)), Some(nominal)) => Some(Ok(self.finish_row(row, nominal))),
-            (Some(Err(error)), _) => {
-                self.done = true;
-                Some(Err(error))
-            }
-            _ => {
-                self.done = true;
-                None
-            }
+        match &mut self.0 {
+            Source::Csv(reader) => reader.next(),
+            Source::Binary(reader) => reader.next(),
         }
     }
+}
+
+/// Writes a log, whatever it is, as CSV; the rows that were written.
+///
+/// # Errors
+/// Those of the log, and of the file that is written, in one line.
+pub fn convert(from: &Path, to: &Path) -> Result<(u64, Vec<LogWarning>), String> {
+    let failed = |error: io::Error| format!("cannot write {}: {error}", to.display());
+    // Created before it is read, it would be empty.
+    if from
+        .canonicalize()
+        .is_ok_and(|from| to.canonicalize().is_ok_and(|to| from == to))
+    {
+        return Err(format!("{}: the log itself cannot be written", to.display()));
+    }
+    let mut reader = LogReader::open(from).map_err(|e| e.to_string())?;
+    let mut out: Option<LogWriter<_>> = None;
+    let mut rows = 0;
+    for row in &mut reader {
+        let row = row.map_err(|e| e.to_string())?;
+        let out = match &mut out {
+            Some(out) => out,
+            none => none.insert(LogWriter::create(to, row.temperature_c.is_some()).map_err(failed)?),
+        };
+        out.write(
+            row.t_s,
+            row.dt_s,
+            row.dtheta_s(),
+            row.dv_s(),
+            row.encoder,
+            row.temperature_c,
+        )
+        .map_err(failed)?;
+        rows += 1;
+    }
+    out.map_or(Ok(()), |out| out.finish().map(drop).map_err(failed))?;
+    Ok((rows, reader.warnings()))
 }

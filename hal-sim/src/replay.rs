@@ -1,14 +1,20 @@
 //! Replay of recorded logs through the unit's core, in f32 as the firmware runs it.
 
+use std::io::BufRead;
 use std::path::Path;
 
+use app::record::Taken;
+use frames::units::{ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
 use nav::aligner::{Aligner, AlignerError, Event};
 use nav::increment::Sample;
 use nav::model::{PAPER, ROBUST};
+use nav::noise::ImuNoise;
+use nav::rotor::RotorConfig;
 use serde::Serialize;
 
 use crate::align::{self, Method, Reading, Setup};
-use crate::log::{Checker, LogError, LogReader, LogRow, LogWarning};
+use crate::log::{Checker, Header, LogError, LogReader, LogRow, LogWarning, UnitStatus};
+use crate::unit::Unit;
 
 /// Why a log cannot be replayed.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,7 +48,7 @@ impl From<AlignerError> for ReplayError {
     }
 }
 
-/// The unit's estimate for the body at the last row of a log.
+/// The unit's estimate for the body at the last row of a log; of a recording the last one the unit aligned with.
 ///
 /// Where the aligner has no estimate, or does not stand by it (`state` is `inconsistent`), the figures are `null` and
 /// `reason` says why.
@@ -50,7 +56,7 @@ impl From<AlignerError> for ReplayError {
 pub struct Replay {
     /// `aligned`, `fine` (σ not yet small), `inconsistent`, or where the aligner stood.
     pub state: &'static str,
-    /// Time of the last row, s.
+    /// Time of the last row that the aligner was given, s.
     pub t_s: f64,
     /// Clockwise from true north.
     pub heading_deg: Option<f64>,
@@ -79,6 +85,8 @@ pub trait Observer {
     fn row(&mut self, _row: &LogRow) {}
     /// The aligner told something at time `t`, s.
     fn event(&mut self, _t: f64, _event: &Event<f32>) {}
+    /// The unit that recorded was in this mode from here on.
+    fn status(&mut self, _status: &UnitStatus) {}
     /// The log is usable, but.
     fn warning(&mut self, _warning: &LogWarning) {}
 }
@@ -97,37 +105,105 @@ fn sample(row: &LogRow) -> Sample<f64> {
     }
 }
 
+/// What the unit's own aligner was told when it recorded, to the bit.
+pub fn recorded(header: &Header, method: Method) -> Setup {
+    let Header {
+        latitude,
+        height,
+        schedule,
+        noise,
+        ..
+    } = header;
+    Setup {
+        latitude_deg: f64::from(*latitude) / DEG,
+        height_m: f64::from(*height),
+        rotor: RotorConfig {
+            rate: schedule.rate.into(),
+            travel: schedule.travel.into(),
+            acceleration: schedule.acceleration.into(),
+        },
+        unit: data_sheet(noise),
+        method,
+    }
+}
+
+/// The inverse of [`align::noise`].
+fn data_sheet(noise: &ImuNoise) -> Unit {
+    let in_units = |figure: f32, unit: f64| f64::from(figure) / unit;
+    let instability = noise.gyro_instability_sd > 0.0;
+    Unit {
+        gyro_bias_sd_deg_h: in_units(noise.gyro_bias_sd, DEG_PER_HOUR),
+        accel_bias_sd_ug: in_units(noise.accel_bias_sd, MICRO_G),
+        angle_random_walk_deg_sqrt_h: in_units(noise.angle_random_walk, DEG_PER_SQRT_HOUR),
+        velocity_random_walk_ug_sqrt_hz: in_units(noise.velocity_random_walk, MICRO_G_PER_SQRT_HZ),
+        gyro_instability_deg_h: in_units(noise.gyro_instability_sd, DEG_PER_HOUR),
+        gyro_instability_tau_s: if instability {
+            noise.gyro_instability_tau.into()
+        } else {
+            Unit::default().gyro_instability_tau_s
+        },
+        gyro_scale_factor_sd_ppm: in_units(noise.gyro_scale_factor_sd, PPM),
+        gyro_misalignment_sd_arcmin: in_units(noise.gyro_misalignment_sd, ARC_MIN),
+        ..Unit::default()
+    }
+}
+
 /// Streams a log through the aligner.
 ///
 /// # Errors
 /// [`ReplayError`] where the log or a figure is not usable; nothing of a broken log is reported as a result.
 pub fn replay(path: &Path, setup: &Setup, observer: &mut impl Observer) -> Result<Replay, ReplayError> {
+    replay_from(LogReader::open(path)?, setup, observer)
+}
+
+/// The same for a log that is open already, so that its header may be asked for the setup.
+///
+/// # Errors
+/// As of [`replay`].
+pub fn replay_from<R: BufRead>(
+    log: LogReader<R>,
+    setup: &Setup,
+    observer: &mut impl Observer,
+) -> Result<Replay, ReplayError> {
     match setup.method {
-        Method::Kf | Method::Stf => replay_with::<PAPER>(path, setup, observer),
-        Method::Robust | Method::RobustKf => replay_with::<ROBUST>(path, setup, observer),
+        Method::Kf | Method::Stf => replay_with::<PAPER, R>(log, setup, observer),
+        Method::Robust | Method::RobustKf => replay_with::<ROBUST, R>(log, setup, observer),
     }
 }
 
-fn replay_with<const B: usize>(
-    path: &Path,
+/// Whether the aligner is given a row: what the unit that recorded used for something else it is not.
+fn is_aligned(row: &LogRow) -> bool {
+    matches!(row.taken, None | Some(Taken::Aligner | Taken::AlignerAnew))
+}
+
+fn replay_with<const B: usize, R: BufRead>(
+    mut log: LogReader<R>,
     setup: &Setup,
     observer: &mut impl Observer,
 ) -> Result<Replay, ReplayError> {
     let mut aligner: Aligner<f32, B> = setup.aligner()?;
-    let reader = LogReader::open(path)?;
-    let mut checker = Checker::new(reader.file_name());
+    let mut checker = Checker::new(log.file_name());
     let mut told = 0;
     let mut t_s = 0.0;
     let mut rejected = None;
-    for row in reader {
+    while let Some(row) = log.next() {
         let row = row?;
+        while let Some(status) = log.next_status() {
+            observer.status(&status);
+        }
         checker.push(&row)?;
         for warning in checker.warnings().iter().skip(told) {
             observer.warning(warning);
         }
         told = checker.warnings().len();
         observer.row(&row);
+        if !is_aligned(&row) {
+            continue;
+        }
         t_s = row.t_s;
+        if row.taken == Some(Taken::AlignerAnew) {
+            aligner.start_anew();
+        }
         #[expect(clippy::cast_possible_truncation, reason = "the core runs in f32")]
         if let Some(event) = aligner.step(&align::cast(&sample(&row)), row.encoder as f32) {
             observer.event(t_s, &event);
@@ -136,7 +212,10 @@ fn replay_with<const B: usize>(
             }
         }
     }
-    for warning in checker.finish()?.iter().skip(told) {
+    while let Some(status) = log.next_status() {
+        observer.status(&status);
+    }
+    for warning in checker.finish()?.iter().skip(told).chain(&log.warnings()) {
         observer.warning(warning);
     }
 

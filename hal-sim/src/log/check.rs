@@ -6,7 +6,7 @@
 
 use frames::math::wrap_pi;
 
-use super::{COLUMNS, LogError, LogProblem, LogRow};
+use super::{COLUMNS, LogError, LogProblem, LogRow, Lost, Place};
 
 /// Time over which the accelerometers' mean norm is taken, s.
 const UNIT_WINDOW: f64 = 2.0;
@@ -68,6 +68,13 @@ pub enum WarningKind {
     },
     /// Gyro z does not follow the encoder: their ratio.
     Mismatch(f64),
+    /// Of a recording, something is lost or of no use.
+    Lost {
+        /// What.
+        kind: Lost,
+        /// How many.
+        count: u64,
+    },
 }
 
 /// One line about a log that can be used: `file:line: what is doubtful`.
@@ -75,15 +82,15 @@ pub enum WarningKind {
 pub struct LogWarning {
     /// The file's name as it was given.
     pub file: String,
-    /// The line where it was first seen.
-    pub line: u64,
+    /// Where it was first seen.
+    pub at: Place,
     /// What is doubtful.
     pub kind: WarningKind,
 }
 
 impl core::fmt::Display for LogWarning {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        write!(f, "{}:{}: ", self.file, self.line)?;
+        write!(f, "{}:{}: ", self.file, self.at)?;
         match self.kind {
             WarningKind::Gaps {
                 count,
@@ -107,6 +114,10 @@ impl core::fmt::Display for LogWarning {
                     "{column}: {what} at {value}, {count} times in the log; the first is here"
                 )
             }
+            WarningKind::Lost { kind, count } => {
+                kind.describe(count, f)?;
+                f.write_str(if count == 1 { ", here" } else { "; the first is here" })
+            }
             WarningKind::Mismatch(ratio) => write!(
                 f,
                 "gyro_z_rad_s is {ratio:.2} times the encoder's rate over {ROTOR_WINDOW} s from here: one of them is \
@@ -122,7 +133,7 @@ struct Channel {
     last: f64,
     /// Equal values after the first.
     run: u32,
-    run_line: u64,
+    run_at: Place,
     run_start_s: f64,
     /// Part of the recent rows that changed, now and before the run.
     live: f64,
@@ -138,7 +149,7 @@ impl Channel {
         Self {
             last: f64::NAN,
             run: 0,
-            run_line: 0,
+            run_at: Place::Line(0),
             run_start_s: 0.0,
             live: 0.0,
             live_before: 0.0,
@@ -149,7 +160,7 @@ impl Channel {
     }
 
     /// Takes a value; says where a run of equal ones has just become suspicious, and whether surely so.
-    fn push(&mut self, value: f64, line: u64, t_s: f64) -> Option<bool> {
+    fn push(&mut self, value: f64, at: Place, t_s: f64) -> Option<bool> {
         let changed = value != self.last;
         let live = self.live;
         self.live += LIVE_GAIN * (f64::from(u8::from(changed)) - live);
@@ -161,7 +172,7 @@ impl Channel {
             self.largest = self.largest.max(value.abs());
             self.last = value;
             self.run = 0;
-            self.run_line = line;
+            self.run_at = at;
             self.run_start_s = t_s;
             self.live_before = self.live;
             return None;
@@ -194,7 +205,7 @@ impl Channel {
 #[derive(Debug, Clone, Copy)]
 struct RotorWindow {
     start_s: f64,
-    line: u64,
+    at: Place,
     lowest: f64,
     highest: f64,
     /// ∫ω_z sign α̇ dt, ∫ω_z dt, ∫|α̇| dt.
@@ -210,7 +221,7 @@ impl RotorWindow {
     fn new(row: &LogRow) -> Self {
         Self {
             start_s: row.t_s,
-            line: row.line,
+            at: row.at,
             lowest: row.encoder,
             highest: row.encoder,
             along: 0.0,
@@ -279,10 +290,10 @@ impl Checker {
         &self.warnings
     }
 
-    fn error(&self, line: u64, problem: LogProblem) -> LogError {
+    fn error(&self, at: Place, problem: LogProblem) -> LogError {
         LogError {
             file: self.file.clone(),
-            line: Some(line),
+            at: Some(at),
             problem,
         }
     }
@@ -296,7 +307,7 @@ impl Checker {
         let first = *self.first.get_or_insert(*row);
         let previous = self.previous.replace(*row);
         if self.rows == 1 && !(5e-5..=0.2).contains(&row.dt_s) {
-            return Err(self.error(row.line, LogProblem::TimeStep(row.dt_s)));
+            return Err(self.error(row.at, LogProblem::TimeStep(row.dt_s)));
         }
         self.note_gap(row);
         self.judge_channels(row)?;
@@ -306,7 +317,7 @@ impl Checker {
             *count += 1;
         }
         if row.t_s - first.t_s >= UNIT_WINDOW {
-            self.judge_accelerometers(first.line)?;
+            self.judge_accelerometers(first.at)?;
         }
 
         let window = self.window.get_or_insert_with(|| RotorWindow::new(row));
@@ -331,17 +342,17 @@ impl Checker {
         let (Some(first), Some(last)) = (self.first, self.previous) else {
             return Err(LogError {
                 file: self.file,
-                line: None,
+                at: None,
                 problem: LogProblem::NoRows,
             });
         };
-        self.judge_accelerometers(first.line)?;
+        self.judge_accelerometers(first.at)?;
         // A rest of a window tells little; but a short log has nothing else.
         if let Some(window) = self.window.filter(|window| !self.judged && window.time >= 1.0) {
             self.judge_rotor(&window)?;
         }
         if !self.turned {
-            return Err(self.error(last.line, LogProblem::NoRotation));
+            return Err(self.error(last.at, LogProblem::NoRotation));
         }
         Ok(self.warnings)
     }
@@ -363,7 +374,7 @@ impl Checker {
         }
         self.warnings.push(LogWarning {
             file: self.file.clone(),
-            line: row.line,
+            at: row.at,
             kind: WarningKind::Gaps {
                 count: 1,
                 missing: gap.missing,
@@ -375,14 +386,14 @@ impl Checker {
     fn judge_channels(&mut self, row: &LogRow) -> Result<(), LogError> {
         let values = row.w_is_s.to_array().into_iter().chain(row.f_is_s.to_array());
         for (i, value) in values.enumerate() {
-            let Some(sure) = self.channels[i].push(value, row.line, row.t_s) else {
+            let Some(sure) = self.channels[i].push(value, row.at, row.t_s) else {
                 continue;
             };
             let (channel, column) = (self.channels[i], COLUMNS[i + 1]);
             let saturated = channel.saturated();
             if sure && i < 3 {
                 return Err(self.error(
-                    channel.run_line,
+                    channel.run_at,
                     LogProblem::GyroStuck {
                         column,
                         value,
@@ -398,7 +409,7 @@ impl Checker {
                 Some(count) => *count += 1,
                 None => self.warnings.push(LogWarning {
                     file: self.file.clone(),
-                    line: channel.run_line,
+                    at: channel.run_at,
                     kind: WarningKind::Stuck {
                         column,
                         value,
@@ -411,7 +422,7 @@ impl Checker {
         Ok(())
     }
 
-    fn judge_accelerometers(&mut self, line: u64) -> Result<(), LogError> {
+    fn judge_accelerometers(&mut self, at: Place) -> Result<(), LogError> {
         let Some((sum, count)) = self.norms.take() else {
             return Ok(());
         };
@@ -421,7 +432,7 @@ impl Checker {
         }
         let unit = ACCEL_UNITS.iter().find(|(low, high, ..)| (*low..*high).contains(&mean));
         Err(self.error(
-            line,
+            at,
             match unit {
                 Some((_, _, unit, factor)) => LogProblem::AccelUnit {
                     mean,
@@ -438,12 +449,12 @@ impl Checker {
         if window.time <= 0.0 {
             return Ok(());
         }
-        let line = window.line;
+        let at = window.at;
         if window.still() {
             // At rest with the rotor at rest: a unit may start so.
             if window.gyro.abs() > TURNED {
                 return Err(self.error(
-                    line,
+                    at,
                     LogProblem::EncoderStuck {
                         at: window.highest,
                         turned: window.gyro,
@@ -456,7 +467,7 @@ impl Checker {
         self.turned = true;
         let rate = window.path / window.time;
         if rate > FAST {
-            return Err(self.error(line, LogProblem::EncoderDegrees(rate)));
+            return Err(self.error(at, LogProblem::EncoderDegrees(rate)));
         }
         if window.turning < 0.5 * window.time {
             return Ok(());
@@ -465,17 +476,17 @@ impl Checker {
         let ratio = window.along / window.path;
         let near = |expected: f64| (ratio / expected - 1.0).abs() < 0.3;
         if near(DEGREES) || near(-DEGREES) {
-            Err(self.error(line, LogProblem::GyroDegrees(ratio)))
+            Err(self.error(at, LogProblem::GyroDegrees(ratio)))
         } else if near(1.0 / DEGREES) || near(-1.0 / DEGREES) {
-            Err(self.error(line, LogProblem::EncoderDegrees(rate)))
+            Err(self.error(at, LogProblem::EncoderDegrees(rate)))
         } else if near(-1.0) {
-            Err(self.error(line, LogProblem::Opposite))
+            Err(self.error(at, LogProblem::Opposite))
         } else {
             let noted = self.warnings.iter().any(|w| matches!(w.kind, WarningKind::Mismatch(_)));
             if !(0.5..=2.0).contains(&ratio) && !noted {
                 self.warnings.push(LogWarning {
                     file: self.file.clone(),
-                    line,
+                    at,
                     kind: WarningKind::Mismatch(ratio),
                 });
             }

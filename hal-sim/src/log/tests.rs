@@ -98,7 +98,7 @@ fn what_is_written_is_read_back() {
         let (dtheta, dv) = truth.increment(t0, t1);
         let m = imu.measure(dtheta, dv, t1 - t0);
         let row = reader.next().unwrap().unwrap();
-        assert_eq!((row.line, row.t_s, row.gap), (k + 1, t1, None));
+        assert_eq!((row.at, row.t_s, row.gap), (Place::Line(k + 1), t1, None));
         assert!((row.dt_s - (t1 - t0)).abs() < 1e-15);
         assert!((row.dtheta_s() - m.dtheta_s).norm() < 1e-11 * m.dtheta_s.norm());
         assert!((row.dv_s() - m.dv_s).norm() < 1e-11 * m.dv_s.norm());
@@ -123,7 +123,7 @@ fn columns_in_any_order_with_temperature_and_strangers() {
     assert_eq!(rows[0].f_is_s.to_array(), [4.0, 5.0, 6.0]);
     assert_eq!((rows[0].encoder, rows[0].temperature_c), (8.0, Some(25.5)));
     assert_eq!((rows[0].dt_s, rows[1].dt_s), (0.5, 0.5));
-    assert_eq!((rows[0].line, rows[1].line), (2, 4));
+    assert_eq!((rows[0].at, rows[1].at), (Place::Line(2), Place::Line(4)));
 }
 
 #[test]
@@ -281,7 +281,7 @@ struct Endless {
     given: usize,
 }
 
-impl io::Read for Endless {
+impl Read for Endless {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         self.given += buffer.len();
         assert!(self.given < 1 << 20, "slurped");

@@ -11,9 +11,9 @@
 //!
 //! Byte by byte it is in `docs/log.md`; `hal-sim replay` reads it. What the decisions rest on:
 //!
-//! - **Bits, not counts.** What the aligner was given goes out as the f32 it was given. A replay with the same settings
-//!   then ends in the same bits; from counts it would have to repeat scale, calibration and compensation of the version
-//!   that recorded. It costs nothing either: an ADIS16495 has 32 bits an axis.
+//! - **Bits, not counts.** What the aligner was given goes out as the f32 it was given, calibration and all. A replay with
+//!   the same settings then ends in the same bits; from counts it would have to repeat scale, calibration and
+//!   compensation of the version that recorded. It costs nothing either: an ADIS16495 has 32 bits an axis.
 //! - **What hardly changes is not repeated.** The interval `dt` is the measured period, another one every 64 samples.
 //!   It goes with the temperature into every [`KEY_EVERY`]th sample, and wherever it is not the one before. Where
 //!   frames are lost the reader holds the last one, some ppm off, until the next.
@@ -65,10 +65,8 @@ pub const KEY: u8 = 1 << 1;
 pub const GAP: u8 = 1 << 2;
 /// Flag of a sample: sensors are at the end of their range, and which follows.
 pub const SATURATED: u8 = 1 << 3;
-/// Where the two bits of [`Taken`] are in the kind of a sample.
+/// Where the three bits of [`Taken`] are in the kind of a sample.
 pub const TAKEN_SHIFT: u8 = 4;
-/// Bit of a sample's kind that this version does not use.
-pub const RESERVED: u8 = 1 << 6;
 /// Bit of a status: there is a fault, whose name follows after a comma.
 pub const FAULT: u8 = 1;
 /// Bit of a status: the fault stays.
@@ -127,36 +125,42 @@ pub struct Header<'a> {
     pub firmware: &'a str,
 }
 
-/// What the alignment made of a sample.
+/// What took a sample. Its increments are recorded as they were taken: corrected by the calibration for aligner and
+/// navigator, else as the IMU gave them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Taken {
-    /// Nothing: it was not aligning, or the rotor's angle was not known.
+    /// Neither aligner nor navigator: the unit did something else, or the rotor's angle was not known.
     No,
-    /// Took it.
-    Yes,
-    /// Took it as the first one of an alignment: what came before does not count.
-    Afresh,
+    /// The aligner.
+    Aligner,
+    /// The aligner, as the first one since it started anew.
+    AlignerAnew,
+    /// The navigator.
+    Navigator,
 }
 
 impl Taken {
-    /// The two bits, where zero says that nobody knows.
+    /// The three bits, where zero says that nobody knows.
     pub const fn bits(taken: Option<Self>) -> u8 {
         match taken {
             None => 0,
             Some(Self::No) => 1,
-            Some(Self::Yes) => 2,
-            Some(Self::Afresh) => 3,
+            Some(Self::Aligner) => 2,
+            Some(Self::AlignerAnew) => 3,
+            Some(Self::Navigator) => 4,
         }
     }
 
-    /// As [`Taken::bits`] gives them; bits above are ignored.
-    pub const fn from_bits(bits: u8) -> Option<Self> {
-        match bits & 3 {
+    /// As [`Taken::bits`] gives them; `None` for bits that it does not give.
+    pub const fn from_bits(bits: u8) -> Option<Option<Self>> {
+        Some(match bits {
             0 => None,
             1 => Some(Self::No),
-            2 => Some(Self::Yes),
-            _ => Some(Self::Afresh),
-        }
+            2 => Some(Self::Aligner),
+            3 => Some(Self::AlignerAnew),
+            4 => Some(Self::Navigator),
+            _ => return None,
+        })
     }
 }
 
@@ -229,7 +233,8 @@ impl Recorder {
         body.end()
     }
 
-    /// A sample, in the order they were made, and what the alignment made of it, as far as that is known.
+    /// A sample, in the order they were made, and what took it, as far as that is known. Its increments are to be those
+    /// that were taken, see [`Taken`].
     pub fn sample(&mut self, sample: &TimedSample, taken: Option<Taken>) -> Frame {
         let increments = &sample.sample;
         let key = self.key_in == 0 || increments.dt.to_bits() != self.dt;
@@ -420,7 +425,7 @@ mod tests {
             }
             let mut sample = sample();
             sample.sample.dt += f32::from(k / 64) * 1e-6;
-            let frame = recorder.sample(&sample, Some(Taken::Yes));
+            let frame = recorder.sample(&sample, Some(Taken::Aligner));
             let size = frame.as_bytes().len();
             assert!(size == 41 || size == 49, "{size}");
             keys += usize::from(size == 49);
@@ -490,11 +495,13 @@ mod tests {
 
     #[test]
     fn the_bits_of_taken() {
-        for taken in [None, Some(Taken::No), Some(Taken::Yes), Some(Taken::Afresh)] {
-            assert_eq!(Taken::from_bits(Taken::bits(taken)), taken);
+        let known = [Taken::No, Taken::Aligner, Taken::AlignerAnew, Taken::Navigator];
+        for taken in known.map(Some).into_iter().chain([None]) {
+            assert_eq!(Taken::from_bits(Taken::bits(taken)), Some(taken));
             let body = body(&Recorder::new().sample(&sample(), taken));
-            assert_eq!(Taken::from_bits(body[0] >> TAKEN_SHIFT), taken);
+            assert_eq!(Taken::from_bits((body[0] & !SAMPLE) >> TAKEN_SHIFT), Some(taken));
         }
+        assert_eq!((5..=u8::MAX).find_map(Taken::from_bits), None);
     }
 
     proptest! {
@@ -518,7 +525,7 @@ mod tests {
             let body = body(&Recorder::new().sample(&sample, None));
             prop_assert_eq!(&body[7..11], &bits[0].to_le_bytes()[..]);
             prop_assert_eq!(&body[27..31], &bits[5].to_le_bytes()[..]);
-            prop_assert_eq!(body[0] & RESERVED, 0);
+            prop_assert_eq!(body[0] & !0xF, SAMPLE);
         }
     }
 }
