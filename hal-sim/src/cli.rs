@@ -1,11 +1,13 @@
 //! Commands, their arguments and what they print.
 //!
-//! Results go to stdout, progress and warnings to stderr. Exit codes: 0 aligned, 1 not aligned, 2 bad input.
+//! Results go to stdout, progress and warnings to stderr. Exit codes: 0 aligned, 1 not aligned, 2 bad input;
+//! of `link` 1 where the unit refuses or does not answer.
 
 use std::fs::File;
 use std::io::{self, BufWriter, IsTerminal as _, Read, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
 use hal_sim::align::{self, Angles, Method, Setup};
@@ -14,6 +16,8 @@ use hal_sim::bound::{self, Bound, BoundConfig};
 use hal_sim::bus::UartLine;
 use hal_sim::calibrate::{self, CalibrateError, Stand};
 use hal_sim::inspect::{self, defmt::Elf, live, live::Tail};
+use hal_sim::link::serve::{Place, Served};
+use hal_sim::link::{self, Link};
 use hal_sim::log::{LogReader, LogRow, LogWarning, LogWriter, UnitStatus, convert};
 use hal_sim::monte_carlo::{self, MethodReport, READY_SD_DEG, Statistics};
 use hal_sim::observability::{self, Attitude, Axis, Segment};
@@ -30,6 +34,8 @@ use nav::rotor::RotorConfig;
 
 /// Not aligned, or a result the unit does not stand by.
 const NOT_ALIGNED: u8 = 1;
+/// A unit refuses a command, or does not answer.
+const REFUSED: u8 = 1;
 /// A file, a scenario or an argument that cannot be used.
 const BAD_INPUT: u8 = 2;
 
@@ -58,6 +64,8 @@ enum Command {
     Replay(ReplayArgs),
     /// Simulate the whole unit: application, devices, buses and motor in virtual time
     Unit(UnitArgs),
+    /// Show what a unit sends, live, and send it commands
+    Link(LinkArgs),
     /// Tell which errors of a resting, turning IMU its velocity makes observable
     Observability(ObservabilityArgs),
     /// Allan deviation of a log at rest: the noise and bias figures of an IMU
@@ -163,9 +171,46 @@ struct UnitArgs {
     /// Type a line to the unit at a time, s since power-up: "200 calibrate"; may be given again
     #[arg(long = "type", value_name = "\"T LINE\"")]
     typed: Vec<Typed>,
+    /// Run in real time with the unit's serial line on a socket, tcp:HOST:PORT, or a pty: for `link`, or what else reads
+    /// NMEA 0183; until broken off, unless --seconds is given
+    #[arg(long, value_name = "WHERE", conflicts_with = "json")]
+    serve: Option<Place>,
+    /// Seconds of the unit that pass in one second
+    #[arg(long, value_name = "N", default_value_t = 1.0, requires = "serve", value_parser = speed)]
+    speed: f64,
     /// Print the result as JSON, and the log to stderr
     #[arg(long)]
     json: bool,
+}
+
+/// Within what a sleeping thread can keep and a machine can simulate.
+fn speed(text: &str) -> Result<f64, String> {
+    let speed = text.parse().ok().filter(|speed| (0.01..=1000.0).contains(speed));
+    speed.ok_or_else(|| "expected a number from 0.01 to 1000".to_owned())
+}
+
+#[derive(Args)]
+struct LinkArgs {
+    /// Serial port, as /dev/ttyACM0, a pty, or tcp:HOST:PORT
+    port: link::Port,
+    /// Send a line, wait for the answer and print it: "set latitude 40.1"; may be given again. Exit code 1 where one is
+    /// refused or not answered; the next are then not sent. `calibrate` is followed to its end
+    #[arg(long, value_name = "LINE")]
+    send: Vec<String>,
+    /// How long an answer may take, s
+    #[arg(long, value_name = "S", default_value_t = 2.0, requires = "send", value_parser = seconds)]
+    timeout: f64,
+    /// Write what comes from the unit, byte by byte
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// End after so long, s (default: when broken off)
+    #[arg(long, value_name = "S", conflicts_with = "send", value_parser = seconds)]
+    seconds: Option<f64>,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok().filter(|seconds| (0.001..=1e9).contains(seconds));
+    seconds.ok_or_else(|| "expected seconds above 0".to_owned())
 }
 
 #[derive(Args)]
@@ -317,6 +362,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Bound(args) => bound(&args),
         Command::Replay(args) => replay(&args, cli.quiet),
         Command::Unit(args) => unit(&args, cli.quiet),
+        Command::Link(args) => talk(&args),
         Command::Observability(args) => observe(&args),
         Command::Allan(args) => allan(&args),
         Command::Calibrate(args) => calibrate(&args),
@@ -883,6 +929,7 @@ struct UnitObserver {
     quiet: bool,
     json: bool,
     nmea: Option<NmeaFile>,
+    served: Option<Served>,
     problem: Option<String>,
 }
 
@@ -918,6 +965,9 @@ impl unit_sim::Observer for UnitObserver {
     fn sentence(&mut self, line: &UartLine) {
         if let Some(file) = &mut self.nmea {
             self.problem = file.put(&line.bytes).err().or(self.problem.take());
+        }
+        if let Some(served) = &mut self.served {
+            served.put(&line.bytes);
         }
         // Answers to what was typed belong to the log.
         if line.bytes.starts_with(b"$PRNSA,") {
@@ -955,17 +1005,41 @@ impl unit_sim::Observer for UnitObserver {
 
     fn time(&mut self, t_s: f64) {
         self.bar.set_position(t_s as u64);
+        if let Some(served) = &mut self.served {
+            served.wait(t_s);
+        }
+    }
+
+    fn look_us(&self) -> u64 {
+        self.served.as_ref().map_or(1_000_000, Served::look_us)
+    }
+
+    fn typed(&mut self) -> Vec<u8> {
+        self.served.as_mut().map(Served::typed).unwrap_or_default()
     }
 }
 
+/// Longest run there is, s: four days.
+const LONGEST_RUN_S: f64 = 360_000.0;
+
 fn unit(args: &UnitArgs, quiet: bool) -> Done {
-    let scenario = scenario(&args.simulated)?;
+    let mut scenario = scenario(&args.simulated)?;
+    let served = args.serve.as_ref().map(|place| Served::open(place, args.speed));
+    let served = served.transpose().map_err(|e| format!("cannot serve: {e}"))?;
+    if let Some(served) = &served {
+        if args.simulated.seconds.is_none() {
+            scenario.run.duration_s = LONGEST_RUN_S;
+        }
+        // Also with --quiet: without it nobody finds the unit.
+        eprintln!("the unit's serial line: hal-sim link {}", served.name);
+    }
     let mut observer = UnitObserver {
         bar: bar(scenario.run.duration_s as u64, "s", quiet),
         level: args.log_level,
         quiet,
         json: args.json,
         nmea: args.nmea.as_deref().map(NmeaFile::create).transpose()?,
+        served,
         problem: None,
     };
     let begun = std::time::Instant::now();
@@ -1035,6 +1109,23 @@ fn unit_table(result: &UnitResult) -> String {
         text += &format!("navigated to {east_m:+.1} m east, {north_m:+.1} m north, at {speed_m_s:.2} m/s\n");
     }
     text
+}
+
+fn talk(args: &LinkArgs) -> Done {
+    let mut open = Link::open(args.port.clone(), args.record.as_deref()).map_err(words)?;
+    let done = if args.send.is_empty() {
+        link::watch(&mut open, args.seconds.map(Duration::from_secs_f64))
+    } else {
+        link::send(&mut open, &args.send, Duration::from_secs_f64(args.timeout))
+    };
+    match done {
+        Ok(()) => Ok(ExitCode::SUCCESS),
+        Err(e) if e.is_answer() => {
+            eprintln!("error: {e}");
+            Ok(ExitCode::from(REFUSED))
+        }
+        Err(e) => Err(e.to_string()),
+    }
 }
 
 fn observe(args: &ObservabilityArgs) -> Done {

@@ -20,6 +20,7 @@ pub mod calibrate;
 pub mod config;
 pub mod device;
 pub mod inspect;
+pub mod link;
 pub mod log;
 pub mod monte_carlo;
 pub mod observability;
