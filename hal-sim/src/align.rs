@@ -1,9 +1,10 @@
 //! The unit's own aligner on the host: how a scenario's or a user's figures become its configuration,
 //! and what it says in degrees.
 
-use frames::units::{ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
+use frames::units::{ARC_MIN, ARC_SEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
 use frames::{Attitude, AttitudeSd, Real, Sensor, Vec3};
 use nav::aligner::{Aligner, AlignerConfig, AlignerError, Estimate, Event, Mode, NotReady, Restart};
+use nav::constraint::{ConstraintConfig, EncoderConstraint};
 use nav::fine::{self, FilterConfig};
 use nav::increment::Sample;
 
@@ -60,6 +61,8 @@ pub struct Setup {
     pub unit: Unit,
     /// The fine filter.
     pub method: Method,
+    /// That the base is fixed to Earth, and how well the encoder measures it by that: 1σ of an angle read, arcsec.
+    pub encoder_constraint_arcsec: Option<f64>,
 }
 
 impl Setup {
@@ -82,6 +85,7 @@ impl Setup {
             },
             unit,
             method,
+            encoder_constraint_arcsec: scenario.encoder.constraint_sd_arcsec,
         }
     }
 
@@ -90,6 +94,12 @@ impl Setup {
         let filter = FilterConfig {
             noise: noise(&self.unit),
             method: self.method.policy(),
+            encoder_constraint: self.encoder_constraint_arcsec.and_then(|arcsec| {
+                EncoderConstraint::new(ConstraintConfig {
+                    encoder_sd: T::lit(arcsec * ARC_SEC),
+                    ..ConstraintConfig::default()
+                })
+            }),
             ..FilterConfig::default()
         };
         let rotor = RotorConfig {

@@ -104,10 +104,28 @@ struct Simulated {
     seconds: Option<f64>,
 }
 
+/// What the unit is told of its base.
+#[derive(Args)]
+struct Base {
+    /// The base is fixed to Earth: measure the z gyro by the encoder, 1σ of an angle read in arcsec
+    #[arg(long, value_name = "ARCSEC", num_args = 0..=1, require_equals = true, default_missing_value = "10", value_parser = arcsec)]
+    encoder_constraint: Option<f64>,
+}
+
+/// Zero is an exact encoder.
+fn arcsec(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|sd| (0.0..=3600.0).contains(sd))
+        .ok_or_else(|| "expected a number of 0 to 3600".to_owned())
+}
+
 #[derive(Args)]
 struct RunArgs {
     #[command(flatten)]
     simulated: Simulated,
+    #[command(flatten)]
+    base: Base,
     /// Fine filter
     #[arg(long, value_enum, default_value = "robust")]
     method: Method,
@@ -126,6 +144,8 @@ struct RunArgs {
 struct MonteCarloArgs {
     #[command(flatten)]
     simulated: Simulated,
+    #[command(flatten)]
+    base: Base,
     /// Number of runs
     #[arg(long, short = 'n', default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     runs: u64,
@@ -159,6 +179,8 @@ struct BoundArgs {
 struct UnitArgs {
     #[command(flatten)]
     simulated: Simulated,
+    #[command(flatten)]
+    base: Base,
     /// Fine filter
     #[arg(long, value_enum, default_value = "robust")]
     method: Method,
@@ -230,6 +252,8 @@ struct ReplayArgs {
     /// Fine filter
     #[arg(long, value_enum, default_value = "robust")]
     method: Method,
+    #[command(flatten)]
+    base: Base,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -411,6 +435,14 @@ fn scenario(simulated: &Simulated) -> Result<Scenario, String> {
     Ok(scenario)
 }
 
+/// The same, for a unit that is told of its base.
+fn scenario_on(base: &Base, simulated: &Simulated) -> Result<Scenario, String> {
+    let mut scenario = scenario(simulated)?;
+    let told = &mut scenario.encoder.constraint_sd_arcsec;
+    *told = base.encoder_constraint.or(*told);
+    Ok(scenario)
+}
+
 fn bar(length: u64, unit: &str, quiet: bool) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();
@@ -465,7 +497,7 @@ fn told(bar: &ProgressBar, quiet: bool, t: f64, event: &str) {
 }
 
 fn run(args: &RunArgs, quiet: bool) -> Done {
-    let scenario = scenario(&args.simulated)?;
+    let scenario = scenario_on(&args.base, &args.simulated)?;
     let log = match &args.log {
         None => None,
         Some(path) => {
@@ -596,7 +628,7 @@ fn run_table(result: &RunResult) -> String {
 }
 
 fn monte_carlo(args: &MonteCarloArgs, quiet: bool) -> Done {
-    let scenario = scenario(&args.simulated)?;
+    let scenario = scenario_on(&args.base, &args.simulated)?;
     let mut methods = args.method.clone();
     methods.dedup();
     let bar = bar(args.runs, "runs", quiet);
@@ -842,6 +874,7 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
             rotor: RotorConfig::default(),
             unit: Unit::default(),
             method: args.method,
+            encoder_constraint_arcsec: None,
         },
         (None, None) => return Err("a CSV log does not say where it was recorded: add --latitude-deg L".to_owned()),
     };
@@ -850,6 +883,7 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
     if let Some(path) = &args.unit {
         setup.unit = Unit::load(path).map_err(words)?;
     }
+    setup.encoder_constraint_arcsec = args.base.encoder_constraint;
     let bar = if quiet {
         ProgressBar::hidden()
     } else {
@@ -1023,7 +1057,7 @@ impl unit_sim::Observer for UnitObserver {
 const LONGEST_RUN_S: f64 = 360_000.0;
 
 fn unit(args: &UnitArgs, quiet: bool) -> Done {
-    let mut scenario = scenario(&args.simulated)?;
+    let mut scenario = scenario_on(&args.base, &args.simulated)?;
     let served = args.serve.as_ref().map(|place| Served::open(place, args.speed));
     let served = served.transpose().map_err(|e| format!("cannot serve: {e}"))?;
     if let Some(served) = &served {

@@ -124,6 +124,7 @@ pub fn recorded(header: &Header, method: Method) -> Setup {
         },
         unit: data_sheet(noise),
         method,
+        encoder_constraint_arcsec: None,
     }
 }
 

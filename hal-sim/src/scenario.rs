@@ -230,6 +230,9 @@ table! {
         numbers {
             /// Bits a turn. Zero: exact.
             bits: u32 = 0, [0.0, 32.0];
+            /// That the unit is told its base to be fixed to Earth, so that it measures the z gyro by the encoder
+            /// ([`nav::constraint`]), and the 1σ of an angle read that it is told, arcsec. Absent: the base may yaw.
+            constraint_sd_arcsec: Option<f64> = None, [0.0, 3600.0];
         }
         tables {
             /// Nonlinearity, by harmonics of a turn.

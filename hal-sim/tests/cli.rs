@@ -288,3 +288,30 @@ fn a_short_log_is_not_aligned() {
         "{replay}"
     );
 }
+
+/// On a base that is fixed to Earth the encoder tells the z gyro's bias: a better heading, and a smaller 1σ that holds.
+/// On one that is not it is refused, to the bit.
+#[test]
+fn the_encoder_constraint_helps_where_it_is_true() {
+    let dir = TempDir::new().unwrap();
+    let run = |scenario: &str, more: &[&str]| {
+        let arguments = [
+            "run",
+            "--scenario",
+            scenario,
+            "--seconds",
+            "240",
+            "--seed",
+            "5",
+            "--json",
+        ];
+        json(&hal_sim(dir.path(), &[&arguments[..], more].concat()))
+    };
+    let (off, on) = (run("static", &[]), run("static", &["--encoder-constraint"]));
+    let sd = |result: &Value| number(result, "/final/sd/heading_deg");
+    assert!(sd(&on) < 0.85 * sd(&off), "{} {}", sd(&on), sd(&off));
+    let error = number(&on, "/final/error/heading_deg");
+    assert!(error.abs() < 4.0 * sd(&on), "{error}");
+    let [off, on] = [run("paper-sim", &[]), run("paper-sim", &["--encoder-constraint=10"])];
+    assert_eq!(off.pointer("/final"), on.pointer("/final"));
+}
