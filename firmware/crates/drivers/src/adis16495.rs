@@ -470,7 +470,7 @@ impl<SPI: SpiDevice, D: DelayNs> Imu for Adis16495<SPI, D> {
     async fn sample(&mut self) -> Result<RawSample, Error> {
         self.select(0).await?;
         let mut buffer = [0; BURST_LEN];
-        buffer[..2].copy_from_slice(&BURST_COMMAND.to_be_bytes());
+        [buffer[0], buffer[1]] = BURST_COMMAND.to_be_bytes();
         self.spi
             .transaction(&mut [Operation::TransferInPlace(&mut buffer), Operation::DelayNs(STALL_NS)])
             .await

@@ -288,7 +288,7 @@ impl<SPI: SpiDevice> Mt6835<SPI> {
     /// reading.
     pub async fn read(&mut self) -> Result<Reading, Error> {
         let mut buffer = [0; BURST_LEN];
-        buffer[..2].copy_from_slice(&command(operation::ANGLE, register::ANGLE));
+        [buffer[0], buffer[1]] = command(operation::ANGLE, register::ANGLE);
         self.exchange(&mut buffer).await?;
         let [_, _, reply @ ..] = buffer;
         let reading = parse_burst(reply)?;
