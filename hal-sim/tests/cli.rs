@@ -308,7 +308,7 @@ fn the_encoder_constraint_helps_where_it_is_true() {
         json(&hal_sim(dir.path(), &[&arguments[..], more].concat()))
     };
     let (off, on) = (run("static", &[]), run("static", &["--encoder-constraint"]));
-    let sd = |result: &Value| number(result, "/final/sd/heading_deg");
+    let sd = |result: &Value| number(result, "/final/reading/sd/heading_deg");
     assert!(sd(&on) < 0.85 * sd(&off), "{} {}", sd(&on), sd(&off));
     let error = number(&on, "/final/error/heading_deg");
     assert!(error.abs() < 4.0 * sd(&on), "{error}");
