@@ -277,8 +277,8 @@ impl<T: Real, const B: usize> Covariance<T, B> {
         let inverse = T::one() / innovation_var;
         let column = p_h.map(|part| part * inverse);
         for (i, gain) in column.iter().enumerate() {
-            for (j, part) in p_h.iter().enumerate().skip(i) {
-                subtract_outer(&mut self.upper[i][j], gain, part);
+            for (block, part) in self.upper[i][i..].iter_mut().zip(&p_h[i..]) {
+                subtract_outer(block, gain, part);
             }
             symmetrise(&mut self.upper[i][i]);
         }

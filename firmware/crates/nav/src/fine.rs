@@ -217,7 +217,9 @@ pub struct Innovation<T: Real = f32> {
 fn propagated<T: Real, const B: usize>(x: &[Vector3<T>; B], couplings: &[Coupling<T>]) -> [Vector3<T>; B] {
     let mut moved = *x;
     for Coupling { row, col, block } in couplings {
-        moved[*row] += block * x[*col];
+        if let (Some(sum), Some(x)) = (moved.get_mut(*row), x.get(*col)) {
+            *sum += block * x;
+        }
     }
     moved
 }
@@ -304,8 +306,11 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
                 _ => Vector3::repeat(least(noise.gyro_misalignment_sd, little)),
             };
         }
-        for (block, axis) in COLUMNS.into_iter().filter(|(block, _)| *block < B) {
-            prior[block][axis] = least(noise.gyro_scale_factor_sd, little);
+        for (block, axis) in COLUMNS {
+            // A small filter has none of them.
+            if let Some(variance) = prior.get_mut(block).and_then(|variances| variances.get_mut(axis)) {
+                *variance = least(noise.gyro_scale_factor_sd, little);
+            }
         }
         if B > WE {
             // Anywhere on the circle: the sine and cosine of a heading error have this spread each, about.
