@@ -247,39 +247,61 @@ fn every_sample_comes_back_to_the_bit() {
     }
 }
 
-/// The unit's aligner in f32, fed as the unit's alignment task feeds it, beside the replay of what it recorded.
-#[test]
-fn a_replay_ends_in_what_the_unit_had() {
-    let unit = unit();
-    let setup = Setup::of(&unit.scenario, Method::Robust);
+/// The last estimate of the unit's aligner in f32, fed as the unit's alignment task feeds it.
+fn direct(samples: &[(TimedSample, Option<Taken>)]) -> align::Reading {
+    let setup = Setup::of(&unit().scenario, Method::Robust);
     let mut aligner: Aligner<f32, ROBUST> = setup.aligner().unwrap();
-    for (sample, taken) in &unit.samples {
-        match taken {
+    for (sample, taken) in samples {
+        match taken.unwrap() {
             Taken::AlignerAnew => aligner.start_anew(),
             Taken::Aligner => {}
             Taken::No | Taken::Navigator => continue,
         }
         aligner.step(&sample.sample, sample.alpha.unwrap());
     }
-    let expected = align::Reading::from_estimate(&aligner.estimate().unwrap());
+    align::Reading::from_estimate(&aligner.estimate().unwrap())
+}
 
-    let replay = replayed(recording(), &mut ());
+fn assert_same(replay: &Replay, expected: &align::Reading) {
+    let rounded = |x: f64| (x * 1e6).round() / 1e6;
     assert_eq!(replay.state, "aligned");
-    let same = |found: Option<f64>, expected: f64| {
-        assert_eq!(found.unwrap(), (expected * 1e6).round() / 1e6);
-    };
-    same(replay.heading_deg, expected.attitude.heading_deg);
-    same(replay.pitch_deg, expected.attitude.pitch_deg);
-    same(replay.roll_deg, expected.attitude.roll_deg);
-    same(replay.heading_sd_deg, expected.sd.heading_deg);
-    for (found, expected) in replay
-        .gyro_bias_deg_h
-        .unwrap()
-        .into_iter()
-        .zip(expected.gyro_bias_deg_h)
-    {
-        same(Some(found), expected);
+    for (found, expected) in [
+        (replay.heading_deg, expected.attitude.heading_deg),
+        (replay.pitch_deg, expected.attitude.pitch_deg),
+        (replay.roll_deg, expected.attitude.roll_deg),
+        (replay.heading_sd_deg, expected.sd.heading_deg),
+    ] {
+        assert_eq!(found.unwrap(), rounded(expected));
     }
+    assert_eq!(replay.gyro_bias_deg_h.unwrap(), expected.gyro_bias_deg_h.map(rounded));
+    assert_eq!(replay.accel_bias_ug.unwrap(), expected.accel_bias_ug.map(rounded));
+}
+
+#[test]
+fn a_replay_ends_in_what_the_unit_had() {
+    let samples: Vec<_> = unit().samples.iter().map(|(s, t)| (*s, Some(*t))).collect();
+    assert_same(&replayed(recording(), &mut ()), &direct(&samples));
+}
+
+/// A unit that is told to align again while it is aligned, rests a while in between, and navigates in the end.
+#[test]
+fn a_replay_does_what_the_unit_was_told() {
+    let mut samples: Vec<_> = unit().samples.iter().map(|(s, t)| (*s, Some(*t))).collect();
+    let at = |seconds: f64| (seconds * RATE_HZ) as usize;
+    samples[at(85.0)].1 = Some(Taken::AlignerAnew);
+    for (_, taken) in &mut samples[at(87.0)..at(90.0)] {
+        *taken = Some(Taken::No);
+    }
+    samples[at(90.0)].1 = Some(Taken::AlignerAnew);
+    for (_, taken) in &mut samples[at(190.0)..] {
+        *taken = Some(Taken::Navigator);
+    }
+    let mut seen = Seen::default();
+    let replay = replayed(&encode(&unit().header, &samples, |_, _| {}), &mut seen);
+    assert_same(&replay, &direct(&samples));
+    // To start anew because it was told to is no trouble.
+    assert_eq!((seen.restarted, seen.aligned), (0, 2));
+    assert!((replay.t_s - 192.0).abs() < 0.1, "{}", replay.t_s);
 }
 
 /// What the aligner is told is in the header: nothing of it need be known at the desk.
