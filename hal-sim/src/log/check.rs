@@ -367,7 +367,8 @@ impl Checker {
             } = &mut warning.kind
             {
                 *count += 1;
-                *missing += gap.missing;
+                // A clock that leaps makes gaps of any length.
+                *missing = missing.saturating_add(gap.missing);
                 *longest_s = longest_s.max(row.dt_s);
                 return;
             }
