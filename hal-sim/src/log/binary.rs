@@ -34,6 +34,10 @@ const SENTENCE: usize = 82;
 const INDICES: u64 = 1 << 16;
 /// Statuses kept for a reader that does not ask.
 const STATUSES: usize = 100;
+/// A clock beyond 31 years is none, µs; with the interval below it bounds how many samples a gap can miss.
+const CLOCK_US: u64 = 1_000_000_000_000_000;
+/// Shortest interval that can be, s.
+const SHORTEST: f32 = 1e-5;
 /// Interval where neither a sample nor the header says it, s.
 const INTERVAL: f32 = 0.005;
 
@@ -398,7 +402,8 @@ fn decode(body: &[u8]) -> Option<Frame> {
             (HEADER_FIXED..=HEADER_FIXED + FIRMWARE)
                 .contains(&body.len())
                 .then_some(())?;
-            header(bytes).map(|header| Frame::Header(Box::new(header)))
+            let header = header(bytes).filter(|header| header.t_us <= CLOCK_US)?;
+            Some(Frame::Header(Box::new(header)))
         }
         STATUS => Some(Frame::Status {
             t_us: bytes.u64()?,
@@ -660,7 +665,7 @@ impl<R: BufRead> Reader<R> {
             dt: self.dt,
             gap: sample.gap,
         };
-        if !(increments.is_valid() && f64::from(alpha.abs()) <= LIMITS[7]) {
+        if !(increments.is_valid() && increments.dt >= SHORTEST && f64::from(alpha.abs()) <= LIMITS[7]) {
             self.scanner.loss.add(Lost::Impossible, 1, at);
             return None;
         }
