@@ -1,0 +1,95 @@
+//! The console: [`app::console`].
+
+use app::console::{LONGEST, LineBuffer, LineError, Request, WORDS, parse};
+use app::settings::Settings;
+
+use crate::Feed;
+
+/// A line. One that is taken is taken in other letters and with other blanks for the same; a setting that is taken is
+/// what the number says, in its range, and comes back from flash.
+pub fn line(data: &[u8]) {
+    let found = parse(data);
+    let text = |byte: &u8| matches!(byte, b'\t' | b' '..=b'~');
+    assert_eq!(found == Err(LineError::Long), data.len() > LONGEST);
+    if data.len() > LONGEST {
+        return;
+    }
+    assert_eq!(found == Err(LineError::Garbled), !data.iter().all(text));
+    match found {
+        Ok(Some(request)) => {
+            let words: Vec<_> = data
+                .split(|byte| matches!(byte, b' ' | b'\t'))
+                .filter(|word| !word.is_empty())
+                .map(|word| String::from_utf8_lossy(word).into_owned())
+                .collect();
+            assert!(WORDS.iter().any(|word| word.name.eq_ignore_ascii_case(&words[0])));
+            assert_eq!(parse(words.join(" ").to_uppercase().as_bytes()), Ok(Some(request)));
+            assert_eq!(parse(words.join("\t").to_lowercase().as_bytes()), Ok(Some(request)));
+            if let Request::Set(setting, value) = request {
+                let typed: f64 = words[2].parse().unwrap();
+                // Two roundings, of digits and of the quotient.
+                let difference = (f64::from(value) - typed).abs();
+                assert!(
+                    difference <= 2.0 * f64::from(f32::EPSILON) * typed.abs(),
+                    "{value} {typed}"
+                );
+                put(setting, value);
+            }
+        }
+        Ok(None) => {
+            let blank = |byte: &u8| matches!(byte, b' ' | b'\t');
+            assert!(data.iter().find(|byte| !blank(byte)).is_none_or(|byte| *byte == b'#'));
+        }
+        Err(error) => assert!(!error.expected().is_empty()),
+    }
+}
+
+fn put(setting: &app::console::Setting, value: f32) {
+    let Ok(settings) = setting.put(Settings::default(), value) else {
+        return;
+    };
+    assert_eq!(settings.validate(setting.group), Ok(()));
+    let mut bytes = [0; 256];
+    let length = settings.encode(setting.group, &mut bytes).unwrap();
+    let mut back = Settings::default();
+    let version = setting.group.version();
+    back.decode(setting.group, version, &mut bytes[..length]).unwrap();
+    assert_eq!(back, settings);
+    // To what the smallest step of the value is, or a whole count.
+    let got = setting.get(&settings);
+    let step = if matches!(setting.name, "period" | "serial") {
+        1.0
+    } else {
+        3.0 * f32::EPSILON * value.abs()
+    };
+    assert!((got - value).abs() <= step.max(f32::MIN_POSITIVE), "{value} {got}");
+}
+
+/// Bytes as they come, against a second [`LineBuffer`] that is plain. A first byte with its lowest bit set garbles
+/// lines now and then, as a receiver does that lost something.
+pub fn bytes(data: &[u8]) {
+    let mut feed = Feed(data);
+    let every = usize::from(feed.u8());
+    let mut buffer = LineBuffer::new();
+    let (mut line, mut refused) = (Vec::new(), None);
+    for (k, byte) in feed.0.iter().enumerate() {
+        if every & 1 == 1 && k % every == 0 {
+            buffer.garble();
+            refused = refused.or(Some(LineError::Garbled));
+        }
+        let found = buffer.push(*byte);
+        match byte {
+            b'\r' | b'\n' => {
+                let expected = refused.take().map_or_else(|| parse(&line), Err).transpose();
+                assert_eq!(found, expected);
+                line.clear();
+                continue;
+            }
+            0x08 | 0x7F => drop(line.pop()),
+            b'\t' | b' '..=b'~' if line.len() < LONGEST => line.push(*byte),
+            b'\t' | b' '..=b'~' => refused = refused.or(Some(LineError::Long)),
+            _ => refused = refused.or(Some(LineError::Garbled)),
+        }
+        assert_eq!(found, None);
+    }
+}
