@@ -116,7 +116,9 @@ struct Angles {
 
 impl Angles {
     fn push(&mut self, at: AngleAt) {
-        self.ring[self.next] = at;
+        if let Some(place) = self.ring.get_mut(self.next) {
+            *place = at;
+        }
         self.next = (self.next + 1) % ANGLES;
         self.count = (self.count + 1).min(ANGLES);
     }
@@ -264,13 +266,19 @@ impl<M: RawMutex> Shared<M> {
 
     /// The rotor's angle at an instant of the last milliseconds, rad; `None` while the turn is unknown.
     pub fn angle_at(&self, t_us: u64) -> Option<f32> {
-        self.angles.lock(|angles| angles.borrow().at(t_us))
+        self.angles.lock(|angles| angles.try_borrow().ok()?.at(t_us))
     }
 
     pub(crate) fn publish_angle(&self, at: Option<AngleAt>) {
-        self.angles.lock(|angles| match at {
-            Some(at) => angles.borrow_mut().push(at),
-            None => *angles.borrow_mut() = Angles::default(),
+        self.angles.lock(|angles| {
+            // Nobody holds it: every borrow ends within its lock.
+            let Ok(mut angles) = angles.try_borrow_mut() else {
+                return;
+            };
+            match at {
+                Some(at) => angles.push(at),
+                None => *angles = Angles::default(),
+            }
         });
     }
 
