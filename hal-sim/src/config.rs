@@ -58,7 +58,8 @@ impl core::fmt::Display for ConfigError {
             write!(f, ":{line}")?;
         }
         if let Some(key) = &self.key {
-            write!(f, ": {key}")?;
+            // A key in quotes may hold the end of a line.
+            write!(f, ": {}", key.replace(char::is_control, "·"))?;
         }
         write!(f, ": {}", self.problem)
     }

@@ -169,7 +169,8 @@ impl Line {
                 let taken = (op & 8 != 0).then_some(Taken::No);
                 self.last = self.bytes.len();
                 self.bytes.extend(self.recorder.sample(&sample, taken).as_bytes());
-                if sample.alpha.is_some_and(|alpha| alpha.abs() <= 1e7) && sample.sample.is_valid() {
+                let possible = sample.sample.is_valid() && sample.sample.dt >= 1e-5;
+                if possible && sample.alpha.is_some_and(|alpha| alpha.abs() <= 1e7) {
                     self.samples.push(sample);
                 }
             }
