@@ -27,9 +27,11 @@
 use core::cell::Cell;
 use core::convert::Infallible;
 use core::future::poll_fn;
-use core::mem;
+use core::mem::{self, MaybeUninit};
+use core::ptr;
 use core::task::Poll;
 
+use app::blackbox::{self, Memory, SLOTS, Slot};
 use app::hal::{ChangeOver, Cutoff, Edge, EdgeCapture, ResetCause, Watchdog};
 use drivers::motor::{Duty, MotorDriver, ThreePhase};
 use embassy_executor::{InterruptExecutor, SendSpawner};
@@ -355,6 +357,39 @@ pub fn reset() -> ! {
 /// Waits, with interrupts off.
 pub fn spin_ms(ms: u32) {
     cortex_m::asm::delay(CORE_HZ / 1000 * ms);
+}
+
+// ---------------------------------------------------------------------------------------------- black box
+
+// Not initialised at the start: it outlives every reset but that of power-on. Another image may have it elsewhere, and
+// then finds garbage in its place.
+#[unsafe(link_section = ".uninit.blackbox")]
+static mut BLACK_BOX: MaybeUninit<[Slot; SLOTS]> = MaybeUninit::uninit();
+
+/// The memory of the black box. One core: who interrupts a write, and writes as well, never returns.
+#[derive(Clone, Copy)]
+pub struct BlackBoxRam;
+
+impl BlackBoxRam {
+    fn slot(slot: usize) -> Option<*mut Slot> {
+        let first = (&raw mut BLACK_BOX).cast::<Slot>();
+        (slot < SLOTS).then(|| first.wrapping_add(slot))
+    }
+}
+
+impl Memory for BlackBoxRam {
+    fn read(&self, slot: usize) -> Slot {
+        // SAFETY: in the static, aligned, and any bits are words. Volatile: what the program before has left there is
+        // nothing that the compiler knows of.
+        Self::slot(slot).map_or([0; blackbox::WORDS], |slot| unsafe { ptr::read_volatile(slot) })
+    }
+
+    fn write(&mut self, slot: usize, words: &Slot) {
+        if let Some(slot) = Self::slot(slot) {
+            // SAFETY: in the static and aligned; nobody holds a reference to it.
+            unsafe { ptr::write_volatile(slot, *words) }
+        }
+    }
 }
 
 // ---------------------------------------------------------------------------------------------- motor

@@ -5,7 +5,7 @@
 //! | `board.rs` | pins, clocks, peripherals; the one file a second board changes |
 //! | `params.rs` | the unit's figures |
 //! | `tasks.rs` | the application's bodies as tasks |
-//! | `fault.rs` | panic and hard fault: motor off, say why, reset |
+//! | `fault.rs` | panic and hard fault: motor off, say and note why, reset |
 #![no_std]
 #![no_main]
 
@@ -14,13 +14,17 @@ mod fault;
 mod params;
 mod tasks;
 
-use board::Board;
+use app::blackbox::BlackBox;
+use board::{BlackBoxRam, Board};
 use defmt_rtt as _;
 use embassy_executor::Spawner;
+use embassy_time::Instant;
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     let board = Board::start();
-    defmt::info!("started by {}", board.reset_cause);
-    tasks::start(spawner, board).await;
+    let blackbox = BlackBox::start(BlackBoxRam, board.reset_cause, Instant::now().as_micros());
+    // And what ended the run before.
+    defmt::info!("started by {}", blackbox.started());
+    tasks::start(spawner, board, blackbox).await;
 }

@@ -13,6 +13,7 @@
 //! The sampling must not wait for the alignment: 11 ms are two samples, and the IMU keeps only the last one.
 
 use app::alignment::AlignmentConfig;
+use app::blackbox::BlackBox;
 use app::hal::{ChangeOver, MagneticEncoder};
 use app::motor::{Drive, HARMONICS};
 use app::output::{OutputConfig, Port};
@@ -30,7 +31,9 @@ use frames::units::DEG;
 use nav::aligner::Aligner;
 use static_cell::StaticCell;
 
-use crate::board::{self, Board, Bridge, DataReady, Device, Iwdg, MotorCutoff, SerialRx, SerialTx, SettingsFlash};
+use crate::board::{
+    self, BlackBoxRam, Board, Bridge, DataReady, Device, Iwdg, MotorCutoff, SerialRx, SerialTx, SettingsFlash,
+};
 use crate::params;
 
 #[cfg(not(feature = "icm42688"))]
@@ -50,7 +53,7 @@ static ROTOR: StaticCell<Rotor> = StaticCell::new();
 static ALIGNER: StaticCell<Aligner> = StaticCell::new();
 
 /// Starts every task. Panics where the parameters are refused: nothing has moved then.
-pub async fn start(spawner: Spawner, mut board: Board) {
+pub async fn start(spawner: Spawner, mut board: Board, blackbox: BlackBox<BlackBoxRam>) {
     let mut store = Store::new(board.settings);
     let (settings, report) = store.load_over(params::factory()).await;
     for (group, origin) in report.wanting() {
@@ -73,7 +76,7 @@ pub async fn start(spawner: Spawner, mut board: Board) {
         motor(shared, encoder, drive, rotor(&settings), settings.encoder.correction),
         sampling(shared, imu, board.imu_ready),
         alignment(shared, aligner, params::alignment(&settings)),
-        supervisor(shared, board.watchdog),
+        supervisor(shared, board.watchdog, blackbox),
         output(shared, board.serial_tx, settings.output),
         console(shared, board.serial_rx, store),
         self::report(shared),
@@ -133,8 +136,8 @@ async fn alignment(shared: &'static Bus, aligner: &'static mut Aligner, config: 
 }
 
 #[embassy_executor::task]
-async fn supervisor(shared: &'static Bus, watchdog: Iwdg) -> ! {
-    supervisor::run(shared, MotorCutoff, watchdog, params::supervisor()).await
+async fn supervisor(shared: &'static Bus, watchdog: Iwdg, blackbox: BlackBox<BlackBoxRam>) -> ! {
+    supervisor::run(shared, MotorCutoff, watchdog, blackbox, params::supervisor()).await
 }
 
 #[embassy_executor::task]
@@ -144,7 +147,7 @@ async fn output(shared: &'static Bus, tx: SerialTx, config: OutputConfig) -> ! {
 
 #[embassy_executor::task]
 async fn console(shared: &'static Bus, rx: SerialRx, store: Store<SettingsFlash>) -> ! {
-    console::run(shared, &PORT, rx, store).await
+    console::run(shared, &PORT, rx, store, BlackBoxRam).await
 }
 
 /// The estimate, once a second, for whoever reads the log and not the serial port.

@@ -26,6 +26,7 @@ use hal_sim::report;
 use hal_sim::reproduce;
 use hal_sim::scenario::Scenario;
 use hal_sim::simulate::{self, Moment, Row, RunResult};
+use hal_sim::soak::SoakConfig;
 use hal_sim::unit::Unit;
 use hal_sim::unit_sim::{self, Drift, Line, Typed, UnitResult};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -64,6 +65,8 @@ enum Command {
     Replay(ReplayArgs),
     /// Simulate the whole unit: application, devices, buses and motor in virtual time
     Unit(UnitArgs),
+    /// Run the whole unit for hours while chance breaks it, types at it and shakes its lines
+    Soak(SoakArgs),
     /// Show what a unit sends, live, and send it commands
     Link(LinkArgs),
     /// Tell which errors of a resting, turning IMU its velocity makes observable
@@ -333,6 +336,19 @@ struct CalibrateArgs {
 }
 
 #[derive(Args)]
+struct SoakArgs {
+    /// Virtual time, h
+    #[arg(long, value_name = "H", default_value_t = 24.0)]
+    hours: f64,
+    /// Seed of every chance
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Print the report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
 struct ReproduceArgs {
     /// What to reproduce: a name, or a paper's short name for all of the paper (without any: lists them)
     #[arg(value_name = "NAME", conflicts_with = "all")]
@@ -386,6 +402,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Bound(args) => bound(&args),
         Command::Replay(args) => replay(&args, cli.quiet),
         Command::Unit(args) => unit(&args, cli.quiet),
+        Command::Soak(args) => soak(&args, cli.quiet),
         Command::Link(args) => talk(&args),
         Command::Observability(args) => observe(&args),
         Command::Allan(args) => allan(&args),
@@ -1094,6 +1111,31 @@ fn unit(args: &UnitArgs, quiet: bool) -> Done {
         eprintln!("{ratio:.0} times real time");
     }
     Ok(exit(result.state))
+}
+
+fn soak(args: &SoakArgs, quiet: bool) -> Done {
+    let config = SoakConfig {
+        hours: args.hours,
+        seed: args.seed,
+    };
+    let bar = bar((3600.0 * args.hours) as u64, "s", quiet);
+    let begun = std::time::Instant::now();
+    let report = hal_sim::soak::run(&config, |t_s| bar.set_position(t_s as u64)).map_err(words)?;
+    bar.finish_and_clear();
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&report.table())?;
+    }
+    if !quiet {
+        let ratio = 3600.0 * args.hours / begun.elapsed().as_secs_f64().max(1e-9);
+        eprintln!("{ratio:.0} times real time");
+    }
+    Ok(if report.is_sound() {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    })
 }
 
 /// The closing table of a run of the unit.

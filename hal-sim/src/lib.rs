@@ -32,6 +32,7 @@ pub mod reproduce;
 pub mod scenario;
 pub mod sensors;
 pub mod simulate;
+pub mod soak;
 pub mod truth;
 pub mod unit;
 pub mod unit_sim;

@@ -1,9 +1,13 @@
 //! The whole unit in virtual time: alignment, determinism, lost samples, faults.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use app::blackbox::CRASHES;
+use app::fault::Task;
+use app::hal::ResetCause;
 use hal_sim::align::Method;
+use hal_sim::bus::UartLine;
 use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
-use hal_sim::unit_sim::{self, Line, Observer, UnitResult};
+use hal_sim::unit_sim::{self, Line, Observer, RobustSession, UnitResult};
 use rayon::prelude::*;
 
 fn paper() -> Scenario {
@@ -167,5 +171,166 @@ fn every_fault_is_found_in_time_and_the_motor_is_off() {
     for (kind, _, found_ms, off_ms, allowed, _) in &rows {
         assert!(*found_ms <= f64::from(*allowed), "{kind:?}: {found_ms} ms");
         assert!(*off_ms <= 2.0, "{kind:?}: {off_ms} ms");
+    }
+}
+
+/// What a unit says and answers.
+#[derive(Default)]
+struct Said {
+    lines: Vec<String>,
+    answers: Vec<String>,
+}
+
+impl Observer for Said {
+    fn line(&mut self, line: &Line) {
+        self.lines.push(line.text.clone());
+    }
+
+    fn sentence(&mut self, line: &UartLine) {
+        let text = String::from_utf8_lossy(&line.bytes).into_owned();
+        if let Some(answer) = text.strip_prefix("$PRNSA,") {
+            self.answers
+                .push(answer.split('*').next().unwrap_or_default().to_owned());
+        }
+    }
+}
+
+/// A unit in somebody's hands.
+struct Unit {
+    session: RobustSession,
+    said: Said,
+}
+
+impl Unit {
+    fn new(seed: u64) -> Self {
+        let session = RobustSession::new(&paper(), seed, Method::Robust, &[]).unwrap();
+        Self {
+            session,
+            said: Said::default(),
+        }
+    }
+
+    /// Runs for so long; the resets on the way.
+    fn run(&mut self, seconds: f64) -> Vec<ResetCause> {
+        let end_us = self.session.now_us() + (seconds * 1e6) as u64;
+        let mut resets = Vec::new();
+        while self.session.now_us() < end_us {
+            resets.extend(self.session.run_until_us(end_us, &mut self.said).unwrap());
+        }
+        resets
+    }
+
+    /// What is answered to a line.
+    fn asked(&mut self, line: &str) -> Vec<String> {
+        self.said.answers.clear();
+        self.session.send(format!("{line}\r\n").as_bytes());
+        self.run(1.0);
+        core::mem::take(&mut self.said.answers)
+    }
+
+    fn mode(&self) -> (&'static str, Option<&'static str>) {
+        let status = self.session.status().unwrap();
+        (status.mode.as_str(), status.fault.map(|fault| fault.name()))
+    }
+}
+
+/// A fault that ends in a reset is told by the log of the next start and on the serial line; others are on record as
+/// well. What a reset keeps is gone with the supply.
+#[test]
+fn what_was_wrong_outlives_a_reset() {
+    let mut unit = Unit::new(3);
+    assert_eq!(unit.run(30.0), []);
+    assert_eq!(unit.said.lines[0], "started by power on");
+    assert_eq!(unit.asked("faults"), ["ok,no more faults"]);
+    unit.session.set_fault(FaultKind::EncoderSilent, true);
+    unit.run(0.1);
+    unit.session.set_fault(FaultKind::EncoderSilent, false);
+    unit.run(49.0);
+    unit.session.set_fault(FaultKind::HangMotor, true);
+    assert_eq!(unit.run(1.0), [ResetCause::Watchdog]);
+    let started = "started by watchdog; before: fault task-overrun motor in mode coarse after 80 s";
+    assert!(
+        unit.said.lines.iter().any(|line| line == started),
+        "{:?}",
+        unit.said.lines
+    );
+    let answers = [
+        "ok,start 1 31 s encoder-invalid in coarse",
+        "ok,start 1 80 s task-overrun motor in coarse",
+        "ok,no more faults",
+    ];
+    assert_eq!(unit.asked("faults"), answers);
+    // By the reset line and by command nothing is lost either, and none of it is a crash.
+    unit.session.reset(ResetCause::Pin, &mut unit.said).unwrap();
+    unit.run(1.0);
+    assert_eq!(unit.asked("restart"), ["ok,restarting"]);
+    let started = "started by watchdog, as asked";
+    assert!(
+        unit.said.lines.iter().any(|line| line == started),
+        "{:?}",
+        unit.said.lines
+    );
+    assert_eq!(unit.asked("faults"), answers);
+    assert_eq!(unit.asked("faults clear"), ["ok,forgotten"]);
+    assert_eq!(unit.asked("faults"), ["ok,no more faults"]);
+    unit.session.set_fault(FaultKind::Driver, true);
+    unit.run(30.0);
+    assert_eq!(unit.session.records().len(), 1);
+    unit.said.lines.clear();
+    unit.session.reset(ResetCause::PowerOn, &mut unit.said).unwrap();
+    assert_eq!(unit.session.records(), []);
+    unit.run(1.0);
+    assert_eq!(unit.said.lines[1], "started by power on");
+}
+
+/// A home switch that hangs is found as soon as the rotor is told to move by it, or where the edge should have been.
+#[test]
+fn a_home_switch_that_hangs_is_found_at_the_start() {
+    for seed in 0..6 {
+        let mut unit = Unit::new(seed);
+        unit.session.set_fault(FaultKind::HomeStuck, true);
+        unit.run(40.0);
+        assert_eq!(unit.mode(), ("fault", Some("rotor")), "seed {seed}");
+        assert!(!unit.session.wound_past());
+    }
+}
+
+/// Whatever task hangs at every start: after three of them the motor stays off and the unit stays up to say so. Neither
+/// a restart nor the reset line let it go on, only the command does.
+#[test]
+fn a_boot_loop_ends_with_the_motor_off() {
+    for (seed, task) in Task::ALL.into_iter().enumerate() {
+        let mut unit = Unit::new(seed as u64);
+        unit.run(2.0);
+        unit.session.set_fault(
+            match task {
+                Task::Sampling => FaultKind::HangSampling,
+                Task::Motor => FaultKind::HangMotor,
+                Task::Alignment => FaultKind::HangAlignment,
+            },
+            true,
+        );
+        unit.session.hang_at_start(Some(task));
+        assert_eq!(unit.run(100.0).len(), CRASHES as usize, "{task:?}");
+        let loops = ("fault", Some("boot-loop"));
+        assert_eq!((unit.mode(), unit.session.driven()), (loops, false));
+        let answers = unit.asked("align");
+        assert_eq!(answers, ["error,not now: wait  or reset the fault"]);
+        assert_eq!(unit.asked("faults").len(), 4, "{task:?}");
+        unit.session.reset(ResetCause::Pin, &mut unit.said).unwrap();
+        unit.run(100.0);
+        assert_eq!((unit.mode(), unit.session.driven()), (loops, false));
+        // Let go while the task still hangs, it crashes again.
+        assert_eq!(unit.asked("reset"), ["ok,starting again"]);
+        unit.run(100.0);
+        assert_eq!((unit.mode(), unit.session.driven()), (loops, false));
+
+        unit.session.hang_at_start(None);
+        assert_eq!(unit.asked("restart"), ["ok,restarting"]);
+        unit.run(10.0);
+        assert_eq!((unit.mode(), unit.session.driven()), (loops, false));
+        assert_eq!(unit.asked("reset"), ["ok,starting again"]);
+        unit.run(100.0);
+        assert_eq!(unit.mode(), ("aligned", None), "{task:?}");
     }
 }

@@ -23,14 +23,14 @@
 pub mod fault;
 mod made;
 mod record;
+mod session;
 mod world;
 
 use core::cell::{Cell, RefCell};
-use core::future::poll_fn;
-use core::task::{Poll, Waker};
 use std::rc::Rc;
 
 use app::alignment::{self, AlignmentConfig};
+use app::blackbox::BlackBox;
 use app::command::ModeName;
 use app::console;
 use app::fault::{Fault, Task};
@@ -42,14 +42,14 @@ use app::rotor::{self, HomeSwitch, Homing, Rotor};
 use app::sampling::{self, SamplingConfig};
 use app::selftest::InspectionConfig;
 use app::settings::{self, Settings, Store};
-use app::shared::{Navigation, SampleCounts, Shared};
+use app::shared::{Navigation, Shared};
 use app::supervisor::{self, SupervisorConfig};
 use drivers::adis16495;
 use drivers::harmonics::{Harmonic, Harmonics};
 use drivers::motor::MotorDriver;
 use drivers::mt6835;
 use embassy_futures::select::{Either, Either3, select, select3};
-use embassy_time::{Delay, Duration, Instant};
+use embassy_time::{Delay, Duration};
 use frames::units::DEG_PER_HOUR;
 use nav::aligner::{Aligner, AlignerConfig, AlignerError};
 use nav::increment::Sample;
@@ -72,7 +72,8 @@ use crate::truth::Truth;
 use fault::Breakable;
 pub use made::{Exposure, Made, motion};
 pub use record::Line;
-use record::Recording;
+use session::{Outbox, Ram};
+pub use session::{RobustSession, Session, Watched};
 use world::World;
 
 /// Longest start of a unit: when it has not begun to align by then, the run's time begins.
@@ -288,6 +289,13 @@ struct Core<const B: usize> {
 }
 
 impl<const B: usize> Core<B> {
+    fn new(config: AlignerConfig<f32, B>) -> Result<Self, UnitError> {
+        Ok(Self {
+            aligner: Aligner::new(config).map_err(UnitError::Aligner)?,
+            last: None,
+        })
+    }
+
     fn take(&mut self, t_us: u64, measured: &Measured, dt: f64, alpha: f64) {
         let sample = Sample {
             dtheta_s: measured.dtheta_s,
@@ -320,38 +328,6 @@ struct Record {
     lines: Vec<Line>,
     sentences: Vec<UartLine>,
     estimates: Vec<Navigation>,
-    hand: Hand,
-}
-
-/// What is typed while the unit runs, until the other end of its line sends it.
-#[derive(Default)]
-struct Hand {
-    bytes: Vec<u8>,
-    end: Option<Waker>,
-}
-
-impl Hand {
-    fn give(&mut self, bytes: Vec<u8>) {
-        self.bytes.extend(bytes);
-        if let Some(end) = self.end.take() {
-            end.wake();
-        }
-    }
-
-    /// Of a record: what was typed, once there is something.
-    ///
-    /// Cancellation: safe, nothing is taken before it is returned.
-    async fn take(record: &RefCell<Record>) -> Vec<u8> {
-        poll_fn(|cx| {
-            let hand = &mut record.borrow_mut().hand;
-            if hand.bytes.is_empty() {
-                hand.end = Some(cx.waker().clone());
-                return Poll::Pending;
-            }
-            Poll::Ready(core::mem::take(&mut hand.bytes))
-        })
-        .await
-    }
 }
 
 /// Data-ready with its stamp, as an EXTI interrupt gives it.
@@ -402,6 +378,10 @@ struct Bench<const B: usize> {
     reset: Rc<Cell<Option<ResetCause>>>,
     record: Rc<RefCell<Record>>,
     flash: device::flash::Flash,
+    ram: Ram,
+    outbox: Rc<Outbox>,
+    /// Hangs from the start on.
+    hangs_at_start: Cell<Option<Task>>,
     /// What the unit was built with: holds where its flash says nothing else.
     factory: Settings,
     typed: Vec<Typed>,
@@ -471,103 +451,23 @@ fn run_with<const B: usize>(
     typed: &[Typed],
     observer: &mut dyn Observer,
 ) -> Result<UnitResult, UnitError> {
-    let truth = Rc::new(Truth::new(scenario, seed)?);
-    let bench = Rc::new(bench::<B>(scenario, seed, method, typed, &truth)?);
-    let record = Rc::clone(&bench.record);
-    let lines = Rc::clone(&record);
-    let _recording = Recording::to(Box::new(move |line| lines.borrow_mut().lines.push(line)));
-
-    let mut executor = Executor::new();
-    let core = Rc::new(RefCell::new(Core {
-        aligner: Aligner::new(bench.aligner).map_err(UnitError::Aligner)?,
-        last: None,
-    }));
-    spawn_world(&mut executor, &bench, &truth, &core, scenario, seed);
-    boot(&mut executor, &bench)?;
+    let mut session = Session::<B>::new(scenario, seed, method, typed)?;
     let duration_us = (scenario.run.duration_s * 1e6) as u64;
     let limit_us = (START_LIMIT_S * 1e6) as u64;
-    let mut resets = 0;
     loop {
-        let begun = record.borrow().aligning_at_us;
-        let end_us = begun.unwrap_or(limit_us).saturating_add(duration_us);
-        let now_us = executor.now().as_micros();
+        let end_us = session.aligning_at_us().unwrap_or(limit_us).saturating_add(duration_us);
+        let now_us = session.now_us();
         if now_us >= end_us {
-            break;
+            return Ok(session.result());
         }
         let look_us = observer.look_us().max(1);
         let next_us = (now_us / look_us + 1) * look_us;
-        let stop = executor
-            .run_until(Instant::from_micros(next_us.min(end_us)))
-            .map_err(UnitError::Program)?;
-        for line in record.borrow_mut().lines.drain(..) {
-            observer.line(&line);
-        }
-        for navigation in record.borrow_mut().estimates.drain(..) {
-            observer.estimate(&navigation);
-        }
-        for sentence in record.borrow_mut().sentences.drain(..) {
-            observer.sentence(&sentence);
-        }
-        observer.time(executor.now().as_micros() as f64 * 1e-6);
+        session.run_until_us(next_us.min(end_us), observer)?;
         let bytes = observer.typed();
         if !bytes.is_empty() {
-            record.borrow_mut().hand.give(bytes);
-        }
-        if stop == vtime::Stop::Requested
-            && let Some(cause) = bench.reset.take()
-        {
-            resets += 1;
-            observer.line(&Line {
-                t_us: executor.now().as_micros(),
-                level: log::Level::Warn,
-                text: format!("-- reset: {cause} --"),
-            });
-            for task in bench.tasks.borrow_mut().drain(..) {
-                executor.cancel(task);
-            }
-            app::hal::Cutoff::cut(&mut bench.world.clone());
-            boot(&mut executor, &bench)?;
+            session.send(&bytes);
         }
     }
-    let shared = Rc::clone(&bench.shared.borrow());
-    let counts: SampleCounts = shared.sample_counts();
-    let edges = bench.lost.get();
-    let trace = executor.trace();
-    let t_s = executor.now().as_micros() as f64 * 1e-6;
-    let record = record.borrow();
-    let start = bench.shared.borrow().settings().position();
-    let last = record.last.and_then(|navigation| moment(&navigation, &truth, &start));
-    let core = core
-        .borrow()
-        .last
-        .and_then(|navigation| moment(&navigation, &truth, &start));
-    let mode = record.modes.last().map_or("idle", |at| at.mode);
-    Ok(UnitResult {
-        scenario: scenario.name.clone(),
-        seed,
-        method,
-        state: mode,
-        t_s,
-        aligning_at_s: record.aligning_at_us.map(|us| us as f64 * 1e-6),
-        aligned_at_s: record.aligned_at_s,
-        modes: record.modes.clone(),
-        faults: record.faults.clone(),
-        resets,
-        samples: Samples {
-            received: counts.tally.received,
-            lost: counts.tally.lost,
-            repeated: counts.tally.repeated,
-            transfers: counts.transfers,
-            overruns: counts.overruns,
-            saturated: counts.saturated,
-            edges_lost: edges.last - edges.first.unwrap_or(edges.last),
-        },
-        wound_past: bench.world.now(|physics| physics.plant.wound_past()),
-        last,
-        core,
-        settings: bench.shared.borrow().settings(),
-        trace,
-    })
 }
 
 fn moment(navigation: &Navigation, truth: &Truth, start: &settings::Position) -> Option<UnitMoment> {
@@ -692,6 +592,9 @@ fn bench<const B: usize>(
         tasks: Rc::default(),
         shared: Rc::new(RefCell::new(Rc::new(Shared::new(factory)))),
         flash: device::flash::Flash::new(seed).awaited(),
+        ram: Ram::garbage(seed),
+        outbox: Rc::default(),
+        hangs_at_start: Cell::default(),
         factory,
         typed,
         reset: Rc::default(),
@@ -811,7 +714,10 @@ impl<const B: usize> Breakable for Rc<Bench<B>> {
 }
 
 /// Starts the unit's program.
-fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>) -> Result<(), UnitError> {
+fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>, cause: ResetCause) -> Result<(), UnitError> {
+    let blackbox = BlackBox::start(bench.ram.clone(), cause, now_ns() / 1000);
+    // As the image's main does.
+    log::info!(target: "app", "started by {}", blackbox.started());
     let mut store = Store::new(bench.flash.clone());
     // Reading takes the part no time.
     let (settings, _) = embassy_futures::block_on(store.load_over(bench.factory));
@@ -863,7 +769,7 @@ fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>) -> Re
 
     let (world, s) = (bench.world.clone(), Rc::clone(&shared));
     let supervisor = executor.spawn("supervisor", Level::Thread, async move {
-        supervisor::run(&s, world.clone(), world, SupervisorConfig::default()).await
+        supervisor::run(&s, world.clone(), world, blackbox, SupervisorConfig::default()).await
     });
     supervisor.set_cost(Duration::from_micros(10));
 
@@ -885,6 +791,9 @@ fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>) -> Re
     });
     // By the index of the task, then the others.
     let mut tasks = vec![sampling, motor, alignment, supervisor, recorder];
+    if let Some(task) = bench.hangs_at_start.get() {
+        tasks[task.index()].freeze(true);
+    }
     tasks.extend(serial(executor, bench, store, settings.output));
     *bench.tasks.borrow_mut() = tasks;
     Ok(())
@@ -907,8 +816,9 @@ fn serial<const B: usize>(
         async move { output::run(&s, &p, tx, config).await },
     );
     output.set_cost(Duration::from_micros(50));
+    let ram = bench.ram.clone();
     let console = executor.spawn("console", Level::Thread, async move {
-        console::run(&shared, &port, rx, store).await
+        console::run(&shared, &port, rx, store, ram).await
     });
     console.set_cost(Duration::from_micros(20));
 
@@ -919,9 +829,12 @@ fn serial<const B: usize>(
         .filter(|typed| typed.at_s >= now_s)
         .cloned()
         .collect();
-    let record = Rc::clone(&bench.record);
+    let (record, outbox) = (Rc::clone(&bench.record), Rc::clone(&bench.outbox));
+    // What was on its way in at a reset is lost.
+    outbox.bytes.borrow_mut().clear();
     let host = executor.spawn("host", Level::World, async move {
         let mut typed = typed.into_iter().peekable();
+        host.set_faults(outbox.faults.get());
         loop {
             let due = async {
                 match typed.peek() {
@@ -929,9 +842,19 @@ fn serial<const B: usize>(
                     None => core::future::pending().await,
                 }
             };
-            match select3(host.line(), due, Hand::take(&record)).await {
-                Either3::First(line) => record.borrow_mut().sentences.push(line),
-                Either3::Third(bytes) => host.send(&bytes),
+            match select3(host.line(), due, outbox.changed.wait()).await {
+                Either3::First(line) => {
+                    outbox.overruns.set(host.overruns());
+                    record.borrow_mut().sentences.push(line);
+                }
+                Either3::Third(()) => {
+                    if outbox.faults.get() != host.faults() {
+                        host.set_faults(outbox.faults.get());
+                    }
+                    for bytes in outbox.bytes.borrow_mut().drain(..) {
+                        host.send(&bytes);
+                    }
+                }
                 Either3::Second(()) => {
                     if let Some(Typed { text, .. }) = typed.next() {
                         host.send(text.as_bytes());
@@ -961,7 +884,11 @@ fn see(record: &mut Record, status: &Status, shared: &Bus, world: &World) {
         _ => {}
     }
     let Some(fault) = status.fault else { return };
-    let found_us = shared.inhibited_since_us();
+    // Of a fault at the very start there is no such instant: the motor is not released yet.
+    let found_us = match shared.inhibited_since_us() {
+        0 => status.since_us,
+        us => us,
+    };
     let motor_off_ms = world.now(|physics| {
         let off_ns = if physics.driven() { u64::MAX } else { physics.off_ns };
         off_ns.saturating_sub(found_us * 1000) as f64 * 1e-6

@@ -14,6 +14,7 @@
 //! show                     the settings
 //! set latitude 40.1        a setting: see [`Setting::ALL`]
 //! save                     keep settings and calibration
+//! faults                   the last faults and crashes, over resets; `faults clear` forgets them
 //! log info                 error, warn, info or debug
 //! ```
 //!
@@ -33,6 +34,7 @@ use embedded_storage_async::nor_flash::NorFlash;
 use frames::units::DEG;
 use heapless::Vec;
 
+use crate::blackbox::{self, Memory};
 use crate::command::{Command, ModeName};
 use crate::log::Level;
 use crate::nmea::{self, Line, Sentence};
@@ -58,6 +60,10 @@ pub enum Request {
     Set(&'static Setting, f32),
     /// To keep the settings.
     Save,
+    /// The records of faults.
+    Faults,
+    /// To forget them.
+    ClearFaults,
     /// What the log is to tell.
     Log(Level),
     /// Something for the modes.
@@ -207,6 +213,8 @@ enum Rest {
     Setting,
     /// A level.
     Level,
+    /// Nothing, or `clear`.
+    Clear,
 }
 
 /// A word of the console.
@@ -228,7 +236,7 @@ const fn word(name: &'static str, request: Request, help: &'static str) -> Word 
 }
 
 /// All words there are.
-pub const WORDS: [Word; 14] = [
+pub const WORDS: [Word; 15] = [
     word("help", Request::Help, "this list"),
     word("status", Request::Status, "the status sentence now"),
     word("version", Request::Version, "of the program"),
@@ -263,6 +271,11 @@ pub const WORDS: [Word; 14] = [
     },
     word("save", Request::Save, "keep settings and calibration"),
     Word {
+        name: "faults",
+        rest: Rest::Clear,
+        help: "the last faults and crashes, or clear",
+    },
+    Word {
         name: "log",
         rest: Rest::Level,
         help: "error, warn, info or debug",
@@ -283,6 +296,8 @@ pub enum LineError {
     Number,
     /// No such level.
     Level,
+    /// Something else than `clear`.
+    Clear,
     /// Longer than [`LONGEST`].
     Long,
     /// With a byte that is no printable ASCII: noise, or another baud rate.
@@ -298,6 +313,7 @@ impl LineError {
             Self::Setting => "expected the name of a setting and a number: show lists them",
             Self::Number => "expected a number as -12.345",
             Self::Level => "expected log error, warn, info or debug",
+            Self::Clear => "expected faults or faults clear",
             Self::Long => "expected at most 64 characters on a line",
             Self::Garbled => "expected ASCII at 115200 baud 8N1",
         }
@@ -347,6 +363,11 @@ pub fn parse(line: &[u8]) -> Result<Option<Request>, LineError> {
             let level = Level::ALL.into_iter().find(|level| is(level.name(), name));
             Request::Log(level.ok_or(LineError::Level)?)
         }
+        Rest::Clear => match next() {
+            [] => Request::Faults,
+            clear if is("clear", clear) => Request::ClearFaults,
+            _ => return Err(LineError::Clear),
+        },
     };
     if next().is_empty() {
         Ok(Some(request))
@@ -404,6 +425,7 @@ pub async fn run<M: RawMutex, F: NorFlash>(
     port: &Port<M>,
     mut rx: impl Read,
     mut store: Store<F>,
+    mut records: impl Memory,
 ) -> ! {
     let mut lines = LineBuffer::new();
     let mut bytes = [0; 16];
@@ -418,7 +440,7 @@ pub async fn run<M: RawMutex, F: NorFlash>(
         for byte in bytes.iter().take(count) {
             if let Some(found) = lines.push(*byte) {
                 match found {
-                    Ok(request) => obey(shared, port, &mut store, request).await,
+                    Ok(request) => obey(shared, port, &mut store, &mut records, request).await,
                     Err(error) => port.answer(nmea::answer(false, error.expected())).await,
                 }
             }
@@ -426,7 +448,13 @@ pub async fn run<M: RawMutex, F: NorFlash>(
     }
 }
 
-async fn obey<M: RawMutex, F: NorFlash>(shared: &Shared<M>, port: &Port<M>, store: &mut Store<F>, request: Request) {
+async fn obey<M: RawMutex, F: NorFlash>(
+    shared: &Shared<M>,
+    port: &Port<M>,
+    store: &mut Store<F>,
+    records: &mut impl Memory,
+    request: Request,
+) {
     let (ok, text) = match request {
         Request::Help => {
             for word in &WORDS {
@@ -458,6 +486,16 @@ async fn obey<M: RawMutex, F: NorFlash>(shared: &Shared<M>, port: &Port<M>, stor
                     "gyros not calibrated"
                 },
             )
+        }
+        Request::Faults => {
+            for entry in blackbox::entries(records) {
+                port.answer(entry.answer()).await;
+            }
+            (true, "no more faults")
+        }
+        Request::ClearFaults => {
+            blackbox::clear(records);
+            (true, "forgotten")
         }
         Request::Status => {
             port.status();
@@ -642,6 +680,7 @@ mod tests {
                 Rest::Nothing(request) => assert_eq!(parse(word.name.as_bytes()), Ok(Some(request))),
                 Rest::Setting => assert_eq!(parse(word.name.as_bytes()), Err(LineError::Setting)),
                 Rest::Level => assert_eq!(parse(word.name.as_bytes()), Err(LineError::Level)),
+                Rest::Clear => assert_eq!(parse(word.name.as_bytes()), Ok(Some(Request::Faults))),
             }
             assert_eq!(WORDS.iter().filter(|other| other.name == word.name).count(), 1);
             // With name and hyphen it goes into one answer.
@@ -715,6 +754,10 @@ mod tests {
             (
                 b"log warn\nlog\nlog all\n",
                 &[Ok(Request::Log(Level::Warn)), Err(E::Level), Err(E::Level)],
+            ),
+            (
+                b"FAULTS clear\nfaults all\nfaults clear now\n",
+                &[Ok(Request::ClearFaults), Err(E::Clear), Err(E::Excess)],
             ),
             // What the unit itself sends, on a line that echoes.
             (b"$HETHS,,V*14\r\n", &[Err(E::Unknown)]),

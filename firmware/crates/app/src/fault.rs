@@ -122,6 +122,11 @@ pub enum Fault {
     },
     /// The self-test failed.
     SelfTest(Failure),
+    /// The program has crashed at start after start: see [`crate::blackbox`].
+    BootLoop {
+        /// How often in a row.
+        crashes: u32,
+    },
 }
 
 /// What happens after the motor is off and the fault reported.
@@ -184,6 +189,7 @@ impl Fault {
     /// | other rotor faults | 300 ms | each tick; the calibration's by its phases | latched |
     /// | task overrun | 65 ms | 50 ms for sampling and alignment, 5 for the motor, and the supervisor's period | reset |
     /// | self-test | 10 s | its timeout | 3 tries |
+    /// | boot loop | 5 ms | at the start, before anything else | latched |
     pub const fn rule(&self) -> Rule {
         match self {
             Self::ImuSilent { .. } => retry(35, 500, 3),
@@ -203,30 +209,59 @@ impl Fault {
                 response: Response::Reset,
             },
             Self::SelfTest(_) => retry(10_000, 1000, 3),
+            Self::BootLoop { .. } => latch(5),
         }
     }
 
-    /// Short name of its kind, the same for all facts.
-    pub const fn name(&self) -> &'static str {
+    /// Names of the kinds, by their [code](Self::code). New ones go to the end: records of an older program may be read.
+    pub const NAMES: [&'static str; 18] = [
+        "imu-silent",
+        "imu-transfer",
+        "imu-saturated",
+        "imu-stuck",
+        "imu-restarted",
+        "imu-flags",
+        "over-temperature",
+        "clock",
+        "encoder-invalid",
+        "encoder-frozen",
+        "encoder-warning",
+        "driver",
+        "stall",
+        "rotor",
+        "rotor-refused",
+        "task-overrun",
+        "self-test",
+        "boot-loop",
+    ];
+
+    /// Number of its kind, the same for all facts.
+    pub const fn code(&self) -> u8 {
         match self {
-            Self::ImuSilent { .. } => "imu-silent",
-            Self::ImuTransfer { .. } => "imu-transfer",
-            Self::ImuSaturated { .. } => "imu-saturated",
-            Self::ImuStuck { .. } => "imu-stuck",
-            Self::ImuRestarted => "imu-restarted",
-            Self::ImuFlags { .. } => "imu-flags",
-            Self::OverTemperature { .. } => "over-temperature",
-            Self::Clock { .. } => "clock",
-            Self::EncoderInvalid => "encoder-invalid",
-            Self::EncoderFrozen => "encoder-frozen",
-            Self::EncoderWarning { .. } => "encoder-warning",
-            Self::Driver => "driver",
-            Self::Stall { .. } => "stall",
-            Self::Rotor(_) => "rotor",
-            Self::RotorRefused(_) => "rotor-refused",
-            Self::TaskOverrun { .. } => "task-overrun",
-            Self::SelfTest(_) => "self-test",
+            Self::ImuSilent { .. } => 0,
+            Self::ImuTransfer { .. } => 1,
+            Self::ImuSaturated { .. } => 2,
+            Self::ImuStuck { .. } => 3,
+            Self::ImuRestarted => 4,
+            Self::ImuFlags { .. } => 5,
+            Self::OverTemperature { .. } => 6,
+            Self::Clock { .. } => 7,
+            Self::EncoderInvalid => 8,
+            Self::EncoderFrozen => 9,
+            Self::EncoderWarning { .. } => 10,
+            Self::Driver => 11,
+            Self::Stall { .. } => 12,
+            Self::Rotor(_) => 13,
+            Self::RotorRefused(_) => 14,
+            Self::TaskOverrun { .. } => 15,
+            Self::SelfTest(_) => 16,
+            Self::BootLoop { .. } => 17,
         }
+    }
+
+    /// Short name of its kind.
+    pub const fn name(&self) -> &'static str {
+        Self::NAMES[self.code() as usize]
     }
 }
 
@@ -285,6 +320,10 @@ impl fmt::Display for Fault {
                 write!(f, "task {} silent for {silent_ms} ms: the unit will reset", task.name())
             }
             Self::SelfTest(failure) => write!(f, "self-test: {failure}"),
+            Self::BootLoop { crashes } => write!(
+                f,
+                "{crashes} crashes in a row: the motor stays off until reset by command"
+            ),
         }
     }
 }

@@ -11,6 +11,7 @@
 //! | [`motor`] | encoder → [`rotor`] control → bridge, 1 kHz |
 //! | [`alignment`] | samples → estimates |
 //! | [`supervisor`] | modes, faults, check-ins, watchdog |
+//! | [`blackbox`] | what a reset must not wipe out, pure |
 //! | [`command`] | what the unit is told, and its modes' names |
 //! | [`mode`] | the modes' step function, pure |
 //! | [`fault`] | faults and the rule for each |
@@ -37,6 +38,7 @@
 extern crate std;
 
 pub mod alignment;
+pub mod blackbox;
 pub mod command;
 pub mod console;
 pub mod fault;

@@ -279,6 +279,17 @@ impl State {
         }
     }
 
+    /// Whether the unit only waits to be told to go on: then a hanging task is no reason to start it anew.
+    pub fn brakes(&self) -> bool {
+        matches!(
+            self.mode,
+            Mode::Fault(Faulted {
+                fault: Fault::BootLoop { .. },
+                ..
+            })
+        )
+    }
+
     /// Whether the watchdog is to be left to bite.
     pub fn wants_reset(&self) -> bool {
         self.restarts
@@ -515,7 +526,9 @@ fn fault_in(mode: Mode, fault: Fault, attempts: u8, a: &mut Actions) -> Mode {
     if let Mode::Fault(before) = mode {
         // One fault brings others with it; only a graver one takes its place.
         let graver = latched && !before.latched || response == Response::Reset;
-        if !graver || before.fault.name() == fault.name() {
+        // Which none is that has led to start after start.
+        let brakes = matches!(before.fault, Fault::BootLoop { .. });
+        if !graver || brakes || before.fault.name() == fault.name() {
             return mode;
         }
     }
@@ -674,6 +687,11 @@ mod tests {
             expected_us: 1.0,
             measured_us: 2.0,
         };
+        let looping = Fault::BootLoop { crashes: 3 };
+        let overrun = Fault::TaskOverrun {
+            task: crate::fault::Task::Motor,
+            silent_ms: 10,
+        };
         let fault = |fault, latched| Mode::Fault(Faulted { fault, latched });
         let test = Mode::SelfTest(SelfTest::default());
         let nearly = |calibrated, homed| {
@@ -759,6 +777,13 @@ mod tests {
             (fault(clock, true), Input::Tick, fault(clock, true)),
             (fault(clock, true), command(Command::ResetFault), test),
             (fault(clock, true), command(Command::Align), fault(clock, true)),
+            // After too many crashes nothing starts the unit but the command, whatever else happens.
+            (Mode::Idle, Input::Fault(looping), fault(looping, true)),
+            (fault(looping, true), Input::Tick, fault(looping, true)),
+            (fault(looping, true), Input::Fault(overrun), fault(looping, true)),
+            (fault(looping, true), command(Command::Align), fault(looping, true)),
+            (fault(looping, true), command(Command::Restart), fault(looping, true)),
+            (fault(looping, true), command(Command::ResetFault), test),
         ]
         .into_iter()
         .enumerate()

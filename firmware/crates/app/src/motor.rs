@@ -176,6 +176,10 @@ fn obey<M: RawMutex>(shared: &Shared<M>, rotor: &mut Rotor) {
     while let Ok(command) = shared.rotor.try_receive() {
         match rotor.command(command) {
             Ok(()) => {
+                // Switch and encoder may forbid it at once: the tick that follows finds the rotor in fault already.
+                if let State::Fault(found) = *rotor.state() {
+                    shared.raise(Fault::from(found));
+                }
                 // A slip ring needs no search: the turn is known at once.
                 if command == Command::Home && rotor.homed() && *rotor.state() == State::Off {
                     shared.tell(Input::Homed { angle: 0.0 });

@@ -282,6 +282,11 @@ impl<M: RawMutex> Shared<M> {
         });
     }
 
+    /// Samples, inputs of the supervisor and commands that wait.
+    pub fn waiting(&self) -> [usize; 3] {
+        [self.samples.len(), self.inputs.len(), self.commands.len()]
+    }
+
     /// Tells the supervisor something.
     pub(crate) fn tell(&self, input: Input) {
         if let Err(embassy_sync::channel::TrySendError::Full(Input::Fault(fault))) = self.inputs.try_send(input) {

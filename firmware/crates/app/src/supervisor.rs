@@ -4,8 +4,11 @@ use embassy_futures::select::{Either3, select3};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant, Ticker};
 
+use crate::blackbox::{BlackBox, Doing, Memory};
+use crate::command::ModeName;
 use crate::fault::{Fault, Task};
 use crate::hal::{Cutoff, Watchdog};
+use crate::log::Event;
 use crate::mode::{Action, Input, State};
 use crate::shared::Shared;
 
@@ -50,11 +53,12 @@ impl SupervisorConfig {
     }
 }
 
-/// The task. Starts the unit.
-pub async fn run<M: RawMutex, C: Cutoff, W: Watchdog>(
+/// The task. Starts the unit, or leaves the motor off where `blackbox` says that it has crashed too often.
+pub async fn run<M: RawMutex, C: Cutoff, W: Watchdog, B: Memory>(
     shared: &Shared<M>,
     mut cutoff: C,
     mut watchdog: W,
+    mut blackbox: BlackBox<B>,
     config: SupervisorConfig,
 ) -> ! {
     for task in Task::ALL {
@@ -63,13 +67,24 @@ pub async fn run<M: RawMutex, C: Cutoff, W: Watchdog>(
     let status = shared.status.sender();
     let mut state = State::default();
     let mut ticker = Ticker::every(Duration::from_millis(u64::from(config.period_ms)));
-    let mut input = Input::Start;
+    let mut input = match blackbox.brake() {
+        Some(crashes) => Input::Fault(Fault::BootLoop { crashes }),
+        None => Input::Start,
+    };
+    let mut shown = None;
     loop {
-        let (next, actions) = state.step(&input, Instant::now().as_micros());
+        let now_us = Instant::now().as_micros();
+        let (next, actions) = state.step(&input, now_us);
         for action in actions {
+            if let Action::Tell(Event::Fault(fault)) = &action {
+                let doing = doing(shared, blackbox.run_s(now_us), state.mode.name());
+                blackbox.fault(fault, doing);
+            }
             carry_out(shared, &mut cutoff, action);
         }
-        if next.status() != state.status() || input == Input::Start {
+        keep(shared, &mut blackbox, &state, &next, now_us);
+        if shown != Some(next.status()) {
+            shown = Some(next.status());
             status.send(next.status());
         }
         state = next;
@@ -82,7 +97,7 @@ pub async fn run<M: RawMutex, C: Cutoff, W: Watchdog>(
                     (silent_ms > config.limit_ms(task)).then_some(Fault::TaskOverrun { task, silent_ms })
                 });
                 let fault = late.or_else(|| shared.take_missed());
-                if late.is_none() && !state.wants_reset() {
+                if (late.is_none() || state.brakes()) && !state.wants_reset() {
                     watchdog.feed();
                 }
                 match fault {
@@ -94,6 +109,35 @@ pub async fn run<M: RawMutex, C: Cutoff, W: Watchdog>(
                 }
             }
         };
+    }
+}
+
+/// Keeps what a reset must not wipe out.
+fn keep<M: RawMutex, B: Memory>(
+    shared: &Shared<M>,
+    blackbox: &mut BlackBox<B>,
+    before: &State,
+    now: &State,
+    now_us: u64,
+) {
+    if blackbox.is_due(now_us, now.mode.name()) {
+        blackbox.live(doing(shared, blackbox.run_s(now_us), now.mode.name()));
+    }
+    if now.restarts {
+        blackbox.asked();
+    }
+    if before.brakes() && !now.brakes() {
+        blackbox.forgive();
+    }
+}
+
+fn doing<M: RawMutex>(shared: &Shared<M>, t_s: u32, mode: ModeName) -> Doing {
+    let has_heading = matches!(mode, ModeName::Fine | ModeName::Aligned | ModeName::Navigating);
+    let navigation = shared.navigation.try_get().filter(|_| has_heading);
+    Doing {
+        mode: Some(mode),
+        t_s,
+        heading_sd: navigation.and_then(|now| Some(now.estimate?.sd.heading)),
     }
 }
 
