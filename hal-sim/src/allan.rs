@@ -31,7 +31,7 @@ use nav::calibration::REST_TRAVEL;
 use serde::Serialize;
 
 use crate::log::{LogError, LogReader, Place};
-use crate::plot::PlotError;
+use crate::plot::{PlotError, Width};
 use crate::reproduce::figure::{self, Axis, Chart, Curve};
 use crate::unit::Unit;
 
@@ -599,8 +599,8 @@ impl Report {
             y: Axis::log(label),
             curves,
         };
-        figure::figure(
-            path,
+        let svg = figure::figure(
+            Width::Page,
             &[
                 chart("Allan deviation of the gyros", "°/h", curves(&self.gyro, DEG_PER_HOUR)),
                 chart(
@@ -609,7 +609,8 @@ impl Report {
                     curves(&self.accel, MICRO_G),
                 ),
             ],
-        )
+        )?;
+        svg.save(path)
     }
 }
 

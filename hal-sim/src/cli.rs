@@ -22,7 +22,7 @@ use hal_sim::log::{LogReader, LogRow, LogWarning, LogWriter, UnitStatus, convert
 use hal_sim::monte_carlo::{self, MethodReport, READY_SD_DEG, Statistics};
 use hal_sim::observability::{self, Attitude, Axis, Segment};
 use hal_sim::replay::{self, Replay};
-use hal_sim::report;
+use hal_sim::report::{self, Origin};
 use hal_sim::reproduce;
 use hal_sim::scenario::Scenario;
 use hal_sim::simulate::{self, Moment, Row, RunResult};
@@ -437,6 +437,21 @@ fn print_json(value: &impl serde::Serialize) -> Result<(), String> {
     print(&format!("{text}\n"))
 }
 
+/// The command as it was given, for a shell.
+fn command_line() -> String {
+    let quoted = std::env::args_os().skip(1).map(|argument| {
+        let argument = argument.to_string_lossy().into_owned();
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=,:+".contains(c);
+        if !argument.is_empty() && argument.chars().all(plain) {
+            argument
+        } else {
+            format!("'{}'", argument.replace('\'', "'\\''"))
+        }
+    });
+    let words: Vec<String> = core::iter::once("hal-sim".to_owned()).chain(quoted).collect();
+    words.join(" ")
+}
+
 fn scenario(simulated: &Simulated) -> Result<Scenario, String> {
     let name = simulated.scenario.as_str();
     let mut scenario = if Scenario::builtin_names().any(|builtin| builtin == name) || !Path::new(name).exists() {
@@ -545,12 +560,17 @@ fn run(args: &RunArgs, quiet: bool) -> Done {
     let dir = args
         .report
         .join(format!("{}-seed{}", scenario.name, args.simulated.seed));
-    report::run(&dir, &result, &observer.moments, &observer.rotor).map_err(words)?;
+    let command = command_line();
+    let origin = Origin {
+        scenario: &scenario,
+        command: &command,
+    };
+    report::run(&dir, &origin, &result, &observer.moments, &observer.rotor).map_err(words)?;
     if args.json {
         print_json(&result)?;
     } else {
         print(&run_table(&result))?;
-        print(&format!("report: {}\n", dir.display()))?;
+        print(&format!("report: {}\n", dir.join("report.html").display()))?;
     }
     Ok(exit(result.state))
 }
@@ -652,12 +672,17 @@ fn monte_carlo(args: &MonteCarloArgs, quiet: bool) -> Done {
     let result = monte_carlo::run(&scenario, args.runs, args.simulated.seed, &methods, || bar.inc(1)).map_err(words)?;
     bar.finish_and_clear();
     let dir = args.report.join(format!("{}-monte-carlo", scenario.name));
-    report::monte_carlo(&dir, &result).map_err(words)?;
+    let command = command_line();
+    let origin = Origin {
+        scenario: &scenario,
+        command: &command,
+    };
+    report::monte_carlo(&dir, &origin, &result).map_err(words)?;
     if args.json {
         print_json(&result)?;
     } else {
         print(&monte_carlo_table(&result))?;
-        print(&format!("report: {}\n", dir.display()))?;
+        print(&format!("report: {}\n", dir.join("report.html").display()))?;
     }
     let aligned = result.by_method.iter().any(|m| m.aligned > 0);
     Ok(exit(if aligned { "aligned" } else { "none" }))
@@ -785,12 +810,17 @@ fn bound(args: &BoundArgs) -> Done {
     let dir = args
         .out
         .join(format!("{}-bound-seed{}", scenario.name, args.simulated.seed));
-    report::bound(&dir, &result).map_err(words)?;
+    let command = command_line();
+    let origin = Origin {
+        scenario: &scenario,
+        command: &command,
+    };
+    report::bound(&dir, &origin, &result).map_err(words)?;
     if args.json {
         print_json(&result)?;
     } else {
         print(&bound_table(&result))?;
-        print(&format!("report: {}\n", dir.display()))?;
+        print(&format!("report: {}\n", dir.join("report.html").display()))?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -1340,11 +1370,12 @@ fn reproduce(args: &ReproduceArgs, quiet: bool) -> Done {
         }
         reports.push(report);
     }
+    reproduce::page(&args.out, &reports, &command_line()).map_err(words)?;
     if args.json {
         print_json(&reports)?;
     } else {
         print(&reproduce::summary(&reports))?;
-        print(&format!("plots: {}\n", args.out.display()))?;
+        print(&format!("report: {}\n", args.out.join("report.html").display()))?;
     }
     Ok(ExitCode::SUCCESS)
 }

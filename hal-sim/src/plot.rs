@@ -1,16 +1,27 @@
-//! Plots as one would put them in a paper: SVG, labelled with units, in colours that the colour-blind can tell.
+//! Plots as one would put them in a paper: SVG, labelled with units, in colours that the colour-blind can tell, for a
+//! light page and a dark one.
 
-use std::path::Path;
+pub(crate) mod plane;
+pub(crate) mod sheet;
 
-use plotters::coord::Shift;
 use plotters::prelude::*;
 
+use crate::align::Angles;
 use crate::bound::Sigmas;
 use crate::simulate::Moment;
+use plane::{Key, Plane, Scale};
+use sheet::{BLUE, GREY, VERMILION};
+pub use sheet::{Svg, Width};
 
-/// Why a plot could not be drawn: the drawing library's words.
+/// Why a plot could not be drawn: the drawing library's words, or the system's.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PlotError(String);
+
+impl PlotError {
+    fn new(error: &impl core::error::Error) -> Self {
+        Self(error.to_string())
+    }
+}
 
 impl core::fmt::Display for PlotError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
@@ -22,17 +33,9 @@ impl core::error::Error for PlotError {}
 
 impl<E: core::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for PlotError {
     fn from(e: DrawingAreaErrorKind<E>) -> Self {
-        Self(e.to_string())
+        Self::new(&e)
     }
 }
-
-// Okabe and Ito's colours.
-const BLUE: RGBColor = RGBColor(0, 114, 178);
-const ORANGE: RGBColor = RGBColor(213, 94, 0);
-const GREY: RGBColor = RGBColor(110, 110, 110);
-const FONT: &str = "sans-serif";
-
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
 /// One panel: lines over time, with a band of ±bound.
 struct Panel<'a> {
@@ -42,6 +45,13 @@ struct Panel<'a> {
     reference: Vec<(f64, f64)>,
     /// (t, centre, half width).
     band: Vec<(f64, f64, f64)>,
+}
+
+/// What the lines and the band of panels are called.
+struct Legend<'a> {
+    line: &'a str,
+    reference: &'a str,
+    band: &'a str,
 }
 
 /// The range of a panel's values: all of the line, and the band of its later half, so that the first seconds do not
@@ -67,85 +77,81 @@ fn range(panel: &Panel<'_>) -> (f64, f64) {
     (low - margin, high + margin)
 }
 
-fn draw(area: &Area<'_>, panel: &Panel<'_>, x_label: &str) -> Result<(), PlotError> {
+fn draw(area: &sheet::Area<'_>, panel: &Panel<'_>, keys: &[Key<'_>], x_label: &str) -> Result<(), PlotError> {
     let start = panel.line.first().map_or(0.0, |p| p.0);
     let end = panel.line.last().map_or(1.0, |p| p.0).max(start + 1e-3);
     let (low, high) = range(panel);
-    let mut chart = ChartBuilder::on(area)
-        .caption(panel.title, (FONT, 16))
-        .margin(8)
-        .margin_right(24)
-        .x_label_area_size(if x_label.is_empty() { 22 } else { 38 })
-        .y_label_area_size(70)
-        .build_cartesian_2d(start..end, low..high)?;
-    chart
-        .configure_mesh()
-        .light_line_style(WHITE)
-        .bold_line_style(RGBColor(225, 225, 225))
-        .x_desc(x_label)
-        .y_desc(panel.unit)
-        .x_label_formatter(&|t| format!("{t:.0}"))
-        .label_style((FONT, 13))
-        .axis_desc_style((FONT, 14))
-        .draw()?;
+    let time = Scale::linear(x_label, start, end);
+    let mut plane = Plane::new(area, panel.title, keys, time, Scale::linear(panel.unit, low, high))?;
     if !panel.band.is_empty() {
-        let clip = |y: f64| y.clamp(low, high);
-        let upper = panel.band.iter().map(|(t, c, h)| (*t, clip(c + h)));
-        let lower = panel.band.iter().rev().map(|(t, c, h)| (*t, clip(c - h)));
-        chart.draw_series(std::iter::once(Polygon::new(
-            upper.chain(lower).collect::<Vec<_>>(),
-            BLUE.mix(0.18),
-        )))?;
+        let upper = panel.band.iter().map(|(t, c, h)| (*t, c + h));
+        let lower = panel.band.iter().rev().map(|(t, c, h)| (*t, c - h));
+        plane.fill(upper.chain(lower), BLUE.mix(0.22).filled())?;
     }
     if !panel.reference.is_empty() {
-        chart.draw_series(LineSeries::new(panel.reference.iter().copied(), ORANGE.stroke_width(2)))?;
+        plane.line(panel.reference.iter().copied(), VERMILION.stroke_width(2))?;
     }
-    let visible = panel.line.iter().copied().map(|(t, y)| (t, y.clamp(low, high)));
-    chart.draw_series(LineSeries::new(visible, BLUE.stroke_width(2)))?;
-    Ok(())
+    plane.line(panel.line.iter().copied(), BLUE.stroke_width(2))
 }
 
-fn figure(path: &Path, panels: &[Panel<'_>]) -> Result<(), PlotError> {
+/// Panels below each other; the legend stands over the first.
+fn figure(width: Width, panels: &[Panel<'_>], legend: &Legend<'_>) -> Result<Svg, PlotError> {
+    let all = [
+        (legend.line, BLUE.stroke_width(2)),
+        (legend.band, BLUE.mix(0.22).filled()),
+        (legend.reference, VERMILION.stroke_width(2)),
+    ];
+    let keys: Vec<_> = all
+        .into_iter()
+        .filter(|(text, _)| !text.is_empty())
+        .map(|(text, style)| Key { text, style })
+        .collect();
     let count = u32::try_from(panels.len()).unwrap_or(u32::MAX);
-    let root = SVGBackend::new(path, (900, 40 + 230 * count)).into_drawing_area();
-    root.fill(&WHITE)?;
-    for (k, (area, panel)) in root.split_evenly((panels.len(), 1)).iter().zip(panels).enumerate() {
-        draw(area, panel, if k + 1 == panels.len() { "time (s)" } else { "" })?;
-    }
-    root.present()?;
-    Ok(())
+    Svg::draw((width.pixels(), 40 + 230 * count), |sheet| {
+        for (k, (area, panel)) in sheet.split_evenly((panels.len(), 1)).iter().zip(panels).enumerate() {
+            let last = k + 1 == panels.len();
+            let keys = if k == 0 { keys.as_slice() } else { &[] };
+            draw(area, panel, keys, if last { "time (s)" } else { "" })?;
+        }
+        Ok(())
+    })
 }
 
 /// Attitude errors with ±3σ.
 ///
 /// # Errors
-/// [`PlotError`] where the file cannot be written.
-pub fn attitude_error(path: &Path, moments: &[Moment]) -> Result<(), PlotError> {
-    let panel = |title, of: fn(&crate::align::Angles) -> f64| Panel {
+/// [`PlotError`] where the drawing library fails.
+pub fn attitude_error(width: Width, moments: &[Moment]) -> Result<Svg, PlotError> {
+    let panel = |title, of: fn(&Angles) -> f64| Panel {
         title,
-        unit: "degrees",
+        unit: "error (°)",
         line: moments.iter().map(|m| (m.t_s, of(&m.error))).collect(),
         reference: Vec::new(),
         band: moments.iter().map(|m| (m.t_s, 0.0, 3.0 * of(&m.reading.sd))).collect(),
     };
     figure(
-        path,
+        width,
         &[
-            panel("heading error and ±3σ", |a| a.heading_deg),
-            panel("pitch error and ±3σ", |a| a.pitch_deg),
-            panel("roll error and ±3σ", |a| a.roll_deg),
+            panel("heading", |a| a.heading_deg),
+            panel("pitch", |a| a.pitch_deg),
+            panel("roll", |a| a.roll_deg),
         ],
+        &Legend {
+            line: "estimate − truth",
+            band: "±3σ, as the filter predicts",
+            reference: "",
+        },
     )
 }
 
 /// Gyro biases found, with ±1σ, and true.
 ///
 /// # Errors
-/// [`PlotError`] where the file cannot be written.
-pub fn biases(path: &Path, moments: &[Moment]) -> Result<(), PlotError> {
+/// [`PlotError`] where the drawing library fails.
+pub fn biases(width: Width, moments: &[Moment]) -> Result<Svg, PlotError> {
     let panel = |title, axis: usize| Panel {
         title,
-        unit: "°/h",
+        unit: "bias (°/h)",
         line: moments
             .iter()
             .map(|m| (m.t_s, m.reading.gyro_bias_deg_h[axis]))
@@ -163,29 +169,35 @@ pub fn biases(path: &Path, moments: &[Moment]) -> Result<(), PlotError> {
             .collect(),
     };
     figure(
-        path,
-        &[
-            panel("gyro bias x: found with ±1σ (blue), true (orange)", 0),
-            panel("gyro bias y", 1),
-            panel("gyro bias z", 2),
-        ],
+        width,
+        &[panel("gyro x", 0), panel("gyro y", 1), panel("gyro z", 2)],
+        &Legend {
+            line: "found",
+            band: "±1σ",
+            reference: "true",
+        },
     )
 }
 
 /// Rotor angle, of (time s, angle degrees).
 ///
 /// # Errors
-/// [`PlotError`] where the file cannot be written.
-pub fn rotor(path: &Path, angle: &[(f64, f64)]) -> Result<(), PlotError> {
+/// [`PlotError`] where the drawing library fails.
+pub fn rotor(width: Width, angle: &[(f64, f64)]) -> Result<Svg, PlotError> {
     figure(
-        path,
+        width,
         &[Panel {
-            title: "rotor angle",
-            unit: "degrees",
+            title: "rotor, by its encoder",
+            unit: "angle (°)",
             line: angle.to_vec(),
             reference: Vec::new(),
             band: Vec::new(),
         }],
+        &Legend {
+            line: "",
+            band: "",
+            reference: "",
+        },
     )
 }
 
@@ -194,8 +206,8 @@ pub fn rotor(path: &Path, angle: &[(f64, f64)]) -> Result<(), PlotError> {
 /// The scale of σ is logarithmic: it begins with a quarter of a circle and ends with a fraction of a degree.
 ///
 /// # Errors
-/// [`PlotError`] where the file cannot be written.
-pub fn heading_bound(path: &Path, title: &str, curve: &[Sigmas]) -> Result<(), PlotError> {
+/// [`PlotError`] where the drawing library fails.
+pub fn heading_bound(width: Width, title: &str, curve: &[Sigmas]) -> Result<Svg, PlotError> {
     let end = curve.last().map_or(1.0, |s| s.t_s);
     let line = |of: fn(&Sigmas) -> f64| -> Vec<(f64, f64)> {
         let points = curve.iter().map(|s| (s.t_s, of(s)));
@@ -214,57 +226,38 @@ pub fn heading_bound(path: &Path, title: &str, curve: &[Sigmas]) -> Result<(), P
     } else {
         (0.1, 100.0)
     };
-    let root = SVGBackend::new(path, (900, 520)).into_drawing_area();
-    root.fill(&WHITE)?;
-    let mut chart = ChartBuilder::on(&root)
-        .caption(title, (FONT, 18))
-        .margin(10)
-        .margin_right(24)
-        .x_label_area_size(42)
-        .y_label_area_size(70)
-        .build_cartesian_2d(0.0..end, (low..high).log_scale())?;
-    chart
-        .configure_mesh()
-        .light_line_style(WHITE)
-        .bold_line_style(RGBColor(225, 225, 225))
-        .x_desc("time (s)")
-        .y_desc("heading σ (degrees)")
-        .x_label_formatter(&|t| format!("{t:.0}"))
-        .y_label_formatter(&|y| format!("{y}"))
-        .label_style((FONT, 13))
-        .axis_desc_style((FONT, 14))
-        .draw()?;
-    for (line, colour, name) in [
-        (simple, ORANGE, "angle random walk alone, ARW/(ω_ie cos L √T)"),
-        (sd, BLUE, "ideal filter"),
-    ] {
-        chart
-            .draw_series(LineSeries::new(line, colour.stroke_width(2)))?
-            .label(name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
-    }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
-        .border_style(GREY)
-        .background_style(WHITE)
-        .label_font((FONT, 13))
-        .draw()?;
-    root.present()?;
-    Ok(())
+    let lines = [
+        (
+            simple,
+            VERMILION.stroke_width(2),
+            "angle random walk alone, ARW/(ω_ie cos L √T)",
+        ),
+        (sd, BLUE.stroke_width(2), "ideal filter"),
+    ];
+    let keys = lines.each_ref().map(|(_, style, text)| Key { text, style: *style });
+    Svg::draw((width.pixels(), 520), |sheet| {
+        let (time, sigma) = (
+            Scale::linear("time (s)", 0.0, end),
+            Scale::log("heading σ (°)", low, high),
+        );
+        let mut plane = Plane::new(sheet, title, &keys, time, sigma)?;
+        lines
+            .iter()
+            .try_for_each(|(line, style, _)| plane.line(line.iter().copied(), *style))
+    })
 }
 
 /// Histogram of heading errors in degrees, with the normal densities of the predicted σ and of the ideal filter's.
 ///
 /// # Errors
-/// [`PlotError`] where the file cannot be written.
+/// [`PlotError`] where the drawing library fails.
 pub fn heading_histogram(
-    path: &Path,
+    page: Width,
     title: &str,
     errors_deg: &[f64],
     predicted_sd_deg: f64,
     bound_deg: f64,
-) -> Result<(), PlotError> {
+) -> Result<Svg, PlotError> {
     const BINS: usize = 24;
     let reach = errors_deg
         .iter()
@@ -284,10 +277,11 @@ pub fn heading_histogram(
     let curves: Vec<_> = [
         // The wider line first: where the filter is ideal the other lies on it.
         (bound_deg, GREY.stroke_width(5), "ideal filter"),
-        (predicted_sd_deg, ORANGE.stroke_width(2), "predicted"),
+        (predicted_sd_deg, VERMILION.stroke_width(2), "predicted"),
     ]
     .into_iter()
     .filter(|(sd, ..)| *sd > 0.3 * width)
+    .map(|(sd, style, whose)| (sd, style, format!("normal, {whose} σ = {sd:.3}°")))
     .collect();
     let top = counts
         .iter()
@@ -295,48 +289,30 @@ pub fn heading_histogram(
         .chain(curves.iter().map(|(sd, ..)| density(0.0, *sd)))
         .fold(0.0, f64::max)
         * 1.1;
-    let root = SVGBackend::new(path, (800, 480)).into_drawing_area();
-    root.fill(&WHITE)?;
-    let mut chart = ChartBuilder::on(&root)
-        .caption(title, (FONT, 18))
-        .margin(10)
-        .x_label_area_size(42)
-        .y_label_area_size(60)
-        .build_cartesian_2d(-reach..reach, 0.0..top.max(1.0))?;
-    chart
-        .configure_mesh()
-        .disable_x_mesh()
-        .light_line_style(WHITE)
-        .bold_line_style(RGBColor(225, 225, 225))
-        .x_desc("heading error (degrees)")
-        .y_desc("runs")
-        .y_label_formatter(&|n| format!("{n:.0}"))
-        .label_style((FONT, 13))
-        .axis_desc_style((FONT, 14))
-        .draw()?;
-    chart.draw_series(counts.iter().enumerate().map(|(k, count)| {
-        let left = -reach + k as f64 * width;
-        Rectangle::new([(left, 0.0), (left + width, *count as f64)], BLUE.mix(0.45).filled())
-    }))?;
-    for (sd, style, whose) in curves {
-        chart
-            .draw_series(LineSeries::new(
-                (0..=200).map(|k| {
-                    let x = reach * (f64::from(k) / 100.0 - 1.0);
-                    (x, density(x, sd))
-                }),
-                style,
-            ))?
-            .label(format!("normal, {whose} σ = {sd:.3}°"))
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
-    }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
-        .border_style(GREY)
-        .background_style(WHITE)
-        .label_font((FONT, 13))
-        .draw()?;
-    root.present()?;
-    Ok(())
+    let bars = BLUE.mix(0.45).filled();
+    let mut keys = vec![Key {
+        text: "runs",
+        style: bars,
+    }];
+    keys.extend(curves.iter().map(|(_, style, text)| Key { text, style: *style }));
+    Svg::draw((page.pixels(), 480), |sheet| {
+        let (x, y) = (
+            Scale::linear("heading error (°)", -reach, reach),
+            Scale::linear("runs", 0.0, top.max(1.0)),
+        );
+        let mut plane = Plane::new(sheet, title, &keys, x, y)?;
+        for (k, count) in counts.iter().enumerate() {
+            // The ends of the outermost are the axis' own, whatever the sum of widths rounds to.
+            let side = |k: usize| {
+                if k == BINS { reach } else { k as f64 * width - reach }
+            };
+            let (left, right, height) = (side(k), side(k + 1), *count as f64);
+            plane.fill([(left, 0.0), (left, height), (right, height), (right, 0.0)], bars)?;
+        }
+        for (sd, style, _) in &curves {
+            let points = (0..=200).map(|k| reach * (f64::from(k) / 100.0 - 1.0));
+            plane.line(points.map(|x| (x, density(x, *sd))), *style)?;
+        }
+        Ok(())
+    })
 }

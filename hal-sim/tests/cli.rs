@@ -62,6 +62,7 @@ fn without_arguments_it_runs_the_paper_and_reports() {
     }
     let report = dir.path().join("report/paper-sim-seed1");
     for file in [
+        "report.html",
         "result.json",
         "estimates.csv",
         "attitude-error.svg",

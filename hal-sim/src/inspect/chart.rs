@@ -2,23 +2,15 @@
 
 use std::path::Path;
 
-use plotters::coord::Shift;
 use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
 use plotters::prelude::*;
 
 use super::timeline::{EstimateAt, Timeline};
-use crate::plot::PlotError;
-
-// Okabe and Ito's colours, which the colour-blind can tell.
-const BLUE: RGBColor = RGBColor(0, 114, 178);
-const VERMILION: RGBColor = RGBColor(213, 94, 0);
-const GREEN: RGBColor = RGBColor(0, 158, 115);
-const PURPLE: RGBColor = RGBColor(204, 121, 167);
-const SKY: RGBColor = RGBColor(86, 180, 233);
-const ORANGE: RGBColor = RGBColor(230, 159, 0);
-const YELLOW: RGBColor = RGBColor(240, 228, 66);
-const GREY: RGBColor = RGBColor(110, 110, 110);
-const FONT: &str = "sans-serif";
+use crate::plot::plane::{log_ticks, tick};
+use crate::plot::sheet::{
+    Area, BLUE, FONT, GREEN, GREY, INK, LABEL, ORANGE, PURPLE, SKY, TICK, VERMILION, YELLOW, text_width,
+};
+use crate::plot::{PlotError, Svg};
 
 /// Sizes, pixels.
 const WIDTH: u32 = 1040;
@@ -26,14 +18,11 @@ const HEIGHTS: [u32; 3] = [330, 250, 250];
 const LEGEND: u32 = 250;
 const LEGEND_LINE: i32 = 19;
 const LABELS: u32 = 74;
-/// Letters of the legend; one is 0.55 of it wide.
-const LETTERS: u32 = 13;
 /// Faults that the legend names.
 const FAULTS: usize = 10;
 /// A pause that breaks a curve, s: several estimates are missing.
 const PAUSE_S: f64 = 5.0;
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Curve = Vec<(f64, f64)>;
 
 /// Tint of a mode behind the curves. Names stand in the bands where there is room: no two of these need be told by hue.
@@ -73,27 +62,13 @@ struct Time<'a> {
     to_s: f64,
 }
 
-/// A tick's text: no more digits than it needs.
-fn tick(v: f64, span: f64) -> String {
-    let v = if v.abs() < 1e-9 * span { 0.0 } else { v };
-    if v != 0.0 && !(1e-3..1e5).contains(&v.abs()) {
-        return format!("{v:.0e}");
-    }
-    let text = format!("{v:.3}");
-    let text = text.trim_end_matches('0').trim_end_matches('.');
-    if text == "-0" { "0".to_owned() } else { text.to_owned() }
-}
-
-/// Round values for the ticks of a logarithmic axis: the library's own leave out whole decades.
-fn round_values((low, high): (f64, f64)) -> Vec<f64> {
-    let steps: &[f64] = if high / low < 20.0 {
-        &[1.0, 1.5, 2.0, 3.0, 5.0, 7.0]
-    } else {
-        &[1.0, 2.0, 5.0]
-    };
-    let decades = low.log10().floor() as i32..=high.log10().ceil() as i32;
-    let values = decades.flat_map(|decade| steps.iter().map(move |step| step * 10_f64.powi(decade)));
-    values.filter(|value| (low..=high).contains(value)).collect()
+/// Ticks of the logarithmic axis: the library's own leave out whole decades.
+fn round_values(range: (f64, f64)) -> Vec<f64> {
+    let candidates = log_ticks(range);
+    candidates
+        .into_iter()
+        .find(|ticks| ticks.len() <= 8)
+        .unwrap_or_default()
 }
 
 /// Estimates without pauses; headings go on through north instead of jumping.
@@ -241,8 +216,8 @@ where
             let v = if panel.round { v.rem_euclid(360.0) } else { *v };
             tick(v, high - low)
         })
-        .label_style((FONT, 13))
-        .axis_desc_style((FONT, 14))
+        .label_style((FONT, TICK).into_font().color(&INK))
+        .axis_desc_style((FONT, LABEL).into_font().color(&INK))
         .draw()?;
     for band in &panel.bands {
         let upper = band.iter().map(|(t, _, high)| (*t, *high));
@@ -259,10 +234,10 @@ where
             }
         }
     }
-    chart.draw_series(panel.marks.iter().map(|p| TriangleMarker::new(*p, 6, BLACK.filled())))?;
+    chart.draw_series(panel.marks.iter().map(|p| TriangleMarker::new(*p, 6, INK.filled())))?;
     for start in &timeline.starts {
         let line = vec![(clip(start.t_s), low), (clip(start.t_s), high)];
-        chart.draw_series([PathElement::new(line, BLACK.stroke_width(1))])?;
+        chart.draw_series([PathElement::new(line, INK.stroke_width(1))])?;
     }
     for fault in &timeline.faults {
         let line = vec![(clip(fault.t_s), low), (clip(fault.t_s), high)];
@@ -286,13 +261,13 @@ fn names(area: &Area<'_>, timeline: &Timeline, x: &dyn Fn(f64) -> i32, y: i32) -
             plotters::style::text_anchor::HPos::Center,
             plotters::style::text_anchor::VPos::Bottom,
         );
-        let style = (FONT, LETTERS).into_text_style(area).color(colour).pos(anchor);
+        let style = (FONT, TICK).into_text_style(area).color(colour).pos(anchor);
         area.draw(&Text::new(text.to_owned(), (at, y), style))
     };
     for span in &timeline.modes {
         let (from, to) = (x(span.from_s) - left, x(span.to_s) - left);
         if to - from > width(span.mode) + 4 {
-            centred(span.mode, i32::midpoint(from, to), y - 3, &BLACK)?;
+            centred(span.mode, i32::midpoint(from, to), y - 3, &INK)?;
         }
     }
     let mut free = i32::MIN;
@@ -309,7 +284,7 @@ fn names(area: &Area<'_>, timeline: &Timeline, x: &dyn Fn(f64) -> i32, y: i32) -
 
 /// Width of a text, pixels.
 fn width(text: &str) -> i32 {
-    i32::try_from(text.chars().count() as u32 * LETTERS * 58 / 100).unwrap_or(i32::MAX)
+    i32::try_from(text_width(text, TICK)).unwrap_or(i32::MAX)
 }
 
 fn legend(area: &Area<'_>, timeline: &Timeline) -> Result<(), PlotError> {
@@ -318,9 +293,9 @@ fn legend(area: &Area<'_>, timeline: &Timeline) -> Result<(), PlotError> {
         let y = 44 + LEGEND_LINE * row;
         row += 1;
         mark(area, y + 8)?;
-        let room = (LEGEND - 34) * 100 / (LETTERS * 58);
+        let room = (LEGEND - 34) / text_width("0", TICK);
         let text: String = text.chars().take(room as usize).collect();
-        area.draw(&Text::new(text, (28, y), (FONT, LETTERS)))?;
+        area.draw(&Text::new(text, (28, y), (FONT, TICK).into_font().color(&INK)))?;
         Ok(())
     };
     let stroke = |colour: RGBColor, thick: u32| {
@@ -340,7 +315,7 @@ fn legend(area: &Area<'_>, timeline: &Timeline) -> Result<(), PlotError> {
     line(&patch(BLUE.mix(0.3)), "heading ± σ".to_owned())?;
     if !timeline.coarse.is_empty() {
         let triangle = |area: &Area<'_>, y: i32| -> Result<(), PlotError> {
-            area.draw(&TriangleMarker::new((12, y), 6, BLACK.filled()))?;
+            area.draw(&TriangleMarker::new((12, y), 6, INK.filled()))?;
             Ok(())
         };
         line(&triangle, "coarse alignment".to_owned())?;
@@ -357,7 +332,7 @@ fn legend(area: &Area<'_>, timeline: &Timeline) -> Result<(), PlotError> {
         line(&patch(tint(mode)), mode.to_owned())?;
     }
     if !timeline.starts.is_empty() {
-        line(&stroke(BLACK, 1), "start (upright)".to_owned())?;
+        line(&stroke(INK, 1), "start (upright)".to_owned())?;
     }
     if !timeline.faults.is_empty() {
         line(&stroke(VERMILION, 2), "fault (upright)".to_owned())?;
@@ -384,18 +359,17 @@ pub fn svg(path: &Path, timeline: &Timeline) -> Result<(), PlotError> {
         // A log of one instant has no axis.
         to_s: timeline.to_s.max(timeline.from_s + 1.0),
     };
-    let root = SVGBackend::new(path, (WIDTH, HEIGHTS.iter().sum())).into_drawing_area();
-    root.fill(&WHITE)?;
-    let (planes, beside) = root.split_horizontally(WIDTH - LEGEND);
-    legend(&beside, timeline)?;
     let [heading, sd, angles] = panels(timeline);
-    let (first, rest) = planes.split_vertically(HEIGHTS[0]);
-    let (second, third) = rest.split_vertically(HEIGHTS[1]);
-    let linear = |panel: &Panel<'_>| panel.range.0..panel.range.1;
-    draw(&first, &heading, &time, linear(&heading), true, false)?;
-    let logarithmic = linear(&sd).log_scale().with_key_points(round_values(sd.range));
-    draw(&second, &sd, &time, logarithmic, false, false)?;
-    draw(&third, &angles, &time, linear(&angles), false, true)?;
-    root.present()?;
-    Ok(())
+    let sheet = Svg::draw((WIDTH, HEIGHTS.iter().sum()), |sheet| {
+        let (planes, beside) = sheet.split_horizontally(WIDTH - LEGEND);
+        legend(&beside, timeline)?;
+        let (first, rest) = planes.split_vertically(HEIGHTS[0]);
+        let (second, third) = rest.split_vertically(HEIGHTS[1]);
+        let linear = |panel: &Panel<'_>| panel.range.0..panel.range.1;
+        draw(&first, &heading, &time, linear(&heading), true, false)?;
+        let logarithmic = linear(&sd).log_scale().with_key_points(round_values(sd.range));
+        draw(&second, &sd, &time, logarithmic, false, false)?;
+        draw(&third, &angles, &time, linear(&angles), false, true)
+    })?;
+    sheet.save(path)
 }

@@ -678,9 +678,9 @@ fn table_7(context: &mut Context<'_>) -> Result<Vec<Row>, ReproduceError> {
             });
         }
     }
-    context.plot("induced.svg", |path| {
+    context.plot("induced.svg", |width| {
         figure::figure(
-            path,
+            width,
             &[Chart {
                 title: "Gyro error by the rotation, RMS",
                 x: Axis::linear("rotation rate (°/s)"),
@@ -989,18 +989,18 @@ fn plots(
         y: Axis::log(label),
         curves: curves(of),
     };
-    context.plot(&format!("fig{}.svg", numbers[0]), |path| {
+    context.plot(&format!("fig{}.svg", numbers[0]), |width| {
         figure::figure(
-            path,
+            width,
             &[
                 chart("Horizontal position, RMS over 300 s", "m", &horizontal_position),
                 chart("Horizontal velocity, RMS over 300 s", "m/s", &horizontal_velocity),
             ],
         )
     })?;
-    context.plot(&format!("fig{}.svg", numbers[1]), |path| {
+    context.plot(&format!("fig{}.svg", numbers[1]), |width| {
         figure::figure(
-            path,
+            width,
             &[
                 chart("Roll, RMS over 300 s", "°", &|e| e[7]),
                 chart("Pitch, RMS over 300 s", "°", &|e| e[6]),
@@ -1027,8 +1027,8 @@ fn plots(
                 })
                 .collect(),
         };
-        context.plot(&format!("fig{}.svg", numbers[2]), |path| {
-            figure::figure(path, &[panel(0), panel(1)])
+        context.plot(&format!("fig{}.svg", numbers[2]), |width| {
+            figure::figure(width, &[panel(0), panel(1)])
         })?;
     }
     let rows: Vec<Vec<f64>> = by_rate

@@ -282,7 +282,9 @@ fn singular_value_plots(context: &mut Context<'_>, cases: &[(&str, [f64; 12])]) 
         y: ChartAxis::log("part").within(1e-7, 1.0),
         curves,
     };
-    context.plot("singular-values.svg", |path| figure(path, &[chart]))
+    context.plot("singular-values.svg", |width| {
+        figure(width, core::slice::from_ref(&chart))
+    })
 }
 
 /// One IMU, as simulated and as its filter has it.
@@ -654,7 +656,7 @@ fn estimates(context: &mut Context<'_>, table: &Table, runs: &[(&str, Vec<Point>
                     .collect(),
             })
             .collect();
-        context.plot(&format!("{file}.svg"), |path| figure(path, &charts))?;
+        context.plot(&format!("{file}.svg"), |width| figure(width, &charts))?;
     }
     for (name, points) in runs {
         let rows: Vec<Vec<f64>> = points
@@ -812,7 +814,7 @@ fn acceleration(context: &mut Context<'_>) -> Result<Vec<Row>, ReproduceError> {
         y: ChartAxis::log("1σ (°)"),
         curves,
     };
-    context.plot("azimuth.svg", |path| figure(path, &[chart]))?;
+    context.plot("azimuth.svg", |width| figure(width, core::slice::from_ref(&chart)))?;
     Ok(rows)
 }
 

@@ -31,7 +31,9 @@ use std::time::Instant;
 
 use serde::{Serialize, Serializer};
 
-use crate::plot::PlotError;
+use crate::plot::{PlotError, Svg, Width};
+use crate::report::page::{Page, Plot, Tone};
+use crate::report::{self, ReportError};
 
 /// All reproductions, in the order in which they run and print.
 pub const ALL: &[Reproduction] = &[
@@ -215,6 +217,7 @@ pub struct Context<'a> {
     out: Option<&'a Path>,
     told: &'a (dyn Fn(&str) + Sync),
     files: Vec<PathBuf>,
+    plots: Vec<Plot>,
 }
 
 impl core::fmt::Debug for Context<'_> {
@@ -235,6 +238,7 @@ impl<'a> Context<'a> {
             out,
             told,
             files: Vec::new(),
+            plots: Vec::new(),
         }
     }
 
@@ -247,14 +251,12 @@ impl<'a> Context<'a> {
     ///
     /// # Errors
     /// [`ReproduceError::Plot`] where it cannot be drawn.
-    pub fn plot(
-        &mut self,
-        file: &str,
-        draw: impl FnOnce(&Path) -> Result<(), PlotError>,
-    ) -> Result<(), ReproduceError> {
+    pub fn plot(&mut self, file: &str, draw: impl Fn(Width) -> Result<Svg, PlotError>) -> Result<(), ReproduceError> {
         let Some(out) = self.out else { return Ok(()) };
         let path = out.join(file);
-        draw(&path).map_err(|e| ReproduceError::Plot(path.clone(), e))?;
+        let drawn = Plot::draw(file, "", draw).and_then(|plot| plot.svg().save(&path).map(|()| plot));
+        self.plots
+            .push(drawn.map_err(|e| ReproduceError::Plot(path.clone(), e))?);
         self.files.push(path);
         Ok(())
     }
@@ -334,6 +336,9 @@ pub struct Report {
     pub rows: Vec<Row>,
     /// Plots and curves that were written.
     pub files: Vec<PathBuf>,
+    /// The plots among them, for a page.
+    #[serde(skip)]
+    pub plots: Vec<Plot>,
     /// Time it took, s.
     pub seconds: f64,
 }
@@ -376,6 +381,7 @@ pub fn run(
         what: reproduction.what,
         rows,
         files: context.files,
+        plots: context.plots,
         seconds: begun.elapsed().as_secs_f64(),
     })
 }
@@ -393,21 +399,21 @@ fn number(x: f64) -> String {
     }
 }
 
-/// The table of one report, with its remarks below.
-pub fn table(report: &Report) -> String {
-    // Columns as wide as their widest entry, counted in characters: units and Greek letters are not ASCII.
-    let heads = [
-        "source",
-        "quantity",
-        "unit",
-        "published",
-        "ours",
-        "criterion",
-        "verdict",
-    ];
+/// Heads of a table.
+const HEADS: [&str; 7] = [
+    "source",
+    "quantity",
+    "unit",
+    "published",
+    "ours",
+    "criterion",
+    "verdict",
+];
+
+/// The lines of a table below [`HEADS`], and the remarks that they count; equal ones once.
+fn compared(report: &Report) -> (Vec<[String; 7]>, Vec<&str>) {
     let mut notes: Vec<&str> = Vec::new();
-    let mut lines: Vec<[String; 7]> = vec![heads.map(str::to_owned)];
-    for row in &report.rows {
+    let lines = report.rows.iter().map(|row| {
         let note = if row.remark.is_empty() {
             String::new()
         } else {
@@ -417,7 +423,7 @@ pub fn table(report: &Report) -> String {
             });
             format!(" [{}]", at + 1)
         };
-        lines.push([
+        [
             row.source.clone(),
             row.quantity.clone(),
             row.unit.to_owned(),
@@ -425,8 +431,16 @@ pub fn table(report: &Report) -> String {
             number(row.ours),
             row.criterion.to_string(),
             format!("{}{note}", row.verdict),
-        ]);
-    }
+        ]
+    });
+    (lines.collect(), notes)
+}
+
+/// The table of one report, with its remarks below.
+pub fn table(report: &Report) -> String {
+    // Columns as wide as their widest entry, counted in characters: units and Greek letters are not ASCII.
+    let (mut lines, notes) = compared(report);
+    lines.insert(0, HEADS.map(str::to_owned));
     let width: [usize; 7] = core::array::from_fn(|k| lines.iter().map(|l| l[k].chars().count()).max().unwrap_or(0));
     let mut text = format!("{}: {}\n", report.name, report.what);
     for line in &lines {
@@ -445,6 +459,32 @@ pub fn table(report: &Report) -> String {
         text += &format!("[{}] {note}\n", k + 1);
     }
     text
+}
+
+/// Writes all of it as one page, `report.html` in `out`; `command` makes it again.
+///
+/// # Errors
+/// [`ReportError`] names the file.
+pub fn page(out: &Path, reports: &[Report], command: &str) -> Result<(), ReportError> {
+    let mut page = Page::new("The papers, reproduced", "Published figures beside ours");
+    let differs = reports
+        .iter()
+        .flat_map(|r| &r.rows)
+        .any(|row| row.verdict == Verdict::Differs);
+    let tone = if differs { Tone::Plain } else { Tone::Good };
+    page.verdict(tone, "Compared:", summary(reports).trim_end());
+    for report in reports {
+        page.section(&format!("{}: {}", report.name, report.what));
+        let (lines, notes) = compared(report);
+        page.table("", &HEADS, &lines.into_iter().map(Vec::from).collect::<Vec<_>>());
+        for (k, note) in notes.iter().enumerate() {
+            page.paragraph(&format!("[{}] {note}", k + 1));
+        }
+        report.plots.iter().for_each(|plot| page.plot(plot));
+    }
+    page.section("Made by");
+    page.code(command);
+    report::written(out, &page)
 }
 
 /// The closing line over all reports: how many rows there are of each verdict.
@@ -501,6 +541,7 @@ mod tests {
                 row(1.0, ""),
             ],
             files: Vec::new(),
+            plots: Vec::new(),
             seconds: 1.0,
         };
         let text = table(&report);

@@ -407,7 +407,7 @@ fn simulation(context: &mut Context<'_>, effort: &Effort) -> Result<Vec<Row>, Re
                 .collect(),
         })
         .collect();
-    context.plot("fig07.svg", |path| figure(path, &charts))?;
+    context.plot("fig07.svg", |width| figure(width, &charts))?;
     Ok(rows)
 }
 
@@ -745,7 +745,7 @@ fn raw_plots(context: &mut Context<'_>, first: &Scenario, second: &Scenario) -> 
             chart(&titles[0], "°/s", curves(rates)),
             chart(&titles[1], "m/s²", curves(forces)),
         ];
-        context.plot(file, |path| figure(path, &charts))?;
+        context.plot(file, |width| figure(width, &charts))?;
     }
     Ok(())
 }
@@ -772,7 +772,7 @@ fn coarse_plot(context: &mut Context<'_>, first: &[Fix], second: &[Fix]) -> Resu
         y: Axis::linear("error (°)"),
         curves: panel(fixes, k),
     });
-    context.plot("fig13.svg", |path| figure(path, &charts))
+    context.plot("fig13.svg", |width| figure(width, &charts))
 }
 
 /// Fig. 14: one run over time, and the headings of ten.
@@ -809,7 +809,7 @@ fn fine_plot(context: &mut Context<'_>, courses: &[(Method, Vec<Course>, Statist
             headings.collect(),
         ),
     ];
-    context.plot("fig14.svg", |path| figure(path, &charts))
+    context.plot("fig14.svg", |width| figure(width, &charts))
 }
 
 // ------------------------------------------------------------------------------------------------------------------ Fig. 9
@@ -943,7 +943,7 @@ fn allan_deviation(context: &mut Context<'_>) -> Result<Vec<Row>, ReproduceError
             curves: accel,
         },
     ];
-    context.plot("fig09.svg", |path| figure(path, &charts))?;
+    context.plot("fig09.svg", |width| figure(width, &charts))?;
     Ok(rows)
 }
 
@@ -976,7 +976,9 @@ fn sweep(
         .map(|(k, (name, points))| curve(name.as_str(), k, points.clone()))
         .collect();
     let chart = Chart { title, x, y, curves };
-    context.plot(&format!("{file}.svg"), |path| figure(path, &[chart]))
+    context.plot(&format!("{file}.svg"), |width| {
+        figure(width, core::slice::from_ref(&chart))
+    })
 }
 
 fn irregularity(context: &mut Context<'_>, effort: &Effort) -> Result<Vec<Row>, ReproduceError> {

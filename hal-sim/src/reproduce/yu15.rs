@@ -461,7 +461,7 @@ fn draw(
             curves: curves(|p| &p.gyro_z),
         },
     ];
-    context.plot(&format!("{file}.svg"), |path| figure(path, &charts))?;
+    context.plot(&format!("{file}.svg"), |width| figure(width, &charts))?;
     let mut header = vec![x.label.to_owned()];
     for pair in pairs {
         header.push(format!("azimuth_arcsec {}", pair.label).trim_end().to_owned());
@@ -1144,7 +1144,7 @@ fn convergence(context: &mut Context<'_>, name: &str, scheme: &str, runs: &[Run]
         },
     ];
     let file = name.replace(". ", "").to_lowercase();
-    context.plot(&format!("{file}.svg"), |path| figure(path, &charts))
+    context.plot(&format!("{file}.svg"), |width| figure(width, &charts))
 }
 
 #[cfg(test)]
