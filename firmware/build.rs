@@ -1,6 +1,7 @@
-//! Hands the linker the workspace's `memory.x`.
+//! Hands the linker the workspace's `memory.x`, and the program its version.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::{env, error, fs};
 
 fn main() -> Result<(), Box<dyn error::Error>> {
@@ -9,5 +10,24 @@ fn main() -> Result<(), Box<dyn error::Error>> {
     println!("cargo:rustc-link-search={}", out.display());
     println!("cargo:rerun-if-changed=../memory.x");
     println!("cargo:rerun-if-changed=build.rs");
+
+    let release = env::var("CARGO_PKG_VERSION")?;
+    let version = commit().map_or(release.clone(), |commit| format!("{release}+{commit}"));
+    println!("cargo:rustc-env=ROTARY_NORTH_VERSION={version}");
     Ok(())
+}
+
+/// The commit that is built, where there is a repository; changes on top of it are not told, they have no name.
+fn commit() -> Option<String> {
+    let git = |arguments: &[&str]| {
+        let output = Command::new("git").args(arguments).output().ok()?;
+        let text = String::from_utf8(output.stdout).ok()?.trim().to_owned();
+        (output.status.success() && !text.is_empty()).then_some(text)
+    };
+    // Written at every commit and change of branch.
+    let log = git(&["rev-parse", "--git-path", "logs/HEAD"])?;
+    if Path::new(&log).exists() {
+        println!("cargo:rerun-if-changed={log}");
+    }
+    git(&["rev-parse", "--short=7", "HEAD"])
 }

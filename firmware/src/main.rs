@@ -20,10 +20,14 @@ use defmt_rtt as _;
 use embassy_executor::Spawner;
 use embassy_time::Instant;
 
+/// Of the program: the release, and the commit where it was built from a repository.
+const VERSION: &str = env!("ROTARY_NORTH_VERSION");
+
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     let board = Board::start();
     let blackbox = BlackBox::start(BlackBoxRam, board.reset_cause, Instant::now().as_micros());
+    defmt::info!("rotary-north {=str}", VERSION);
     // And what ended the run before.
     defmt::info!("started by {}", blackbox.started());
     tasks::start(spawner, board, blackbox).await;

@@ -7,7 +7,7 @@
 //!                         supervisor   200 Hz: modes, faults, watchdog
 //!                         output       10 Hz: NMEA 0183 to the serial port
 //!                         console      commands from it, settings to flash
-//!                         report       1 Hz: the estimate to the log
+//!                         report       1 Hz: what the unit does to the log
 //! ```
 //!
 //! The sampling must not wait for the alignment: 11 ms are two samples, and the IMU keeps only the last one.
@@ -20,14 +20,13 @@ use app::output::{OutputConfig, Port};
 use app::rotor::Rotor;
 use app::settings::{Settings, Store};
 use app::shared::Shared;
-use app::{alignment, console, motor, output, sampling, supervisor};
+use app::{alignment, console, motor, output, report, sampling, supervisor};
 use drivers::harmonics::Harmonics;
 use drivers::mt6835::Mt6835;
 use embassy_executor::Spawner;
 use embassy_stm32::gpio::{Flex, Input, Output};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::Delay;
-use frames::units::DEG;
 use nav::aligner::Aligner;
 use static_cell::StaticCell;
 
@@ -94,7 +93,7 @@ pub async fn start(spawner: Spawner, mut board: Board, blackbox: BlackBox<BlackB
 
 #[inline(never)]
 fn shared(settings: Settings) -> &'static Bus {
-    SHARED.init_with(|| Shared::new(settings))
+    SHARED.init_with(|| Shared::new(crate::VERSION, settings))
 }
 
 fn rotor(settings: &Settings) -> &'static mut Rotor {
@@ -150,29 +149,7 @@ async fn console(shared: &'static Bus, rx: SerialRx, store: Store<SettingsFlash>
     console::run(shared, &PORT, rx, store, BlackBoxRam).await
 }
 
-/// The estimate, once a second, for whoever reads the log and not the serial port.
 #[embassy_executor::task]
-async fn report(shared: &'static Bus) {
-    let Some(mut navigation) = shared.navigation.receiver() else {
-        defmt::unreachable!("a watch has room for its first reader")
-    };
-    let deg = |x: f32| x / DEG as f32;
-    let mut next_us = 0;
-    loop {
-        let now = navigation.changed().await;
-        if now.t_us < next_us {
-            continue;
-        }
-        next_us = now.t_us + 1_000_000;
-        if let Some(estimate) = now.estimate {
-            let (attitude, sd) = (estimate.attitude, estimate.sd);
-            defmt::info!(
-                "heading {} deg, sd {}; pitch {}, roll {}",
-                deg(attitude.heading),
-                deg(sd.heading),
-                deg(attitude.pitch),
-                deg(attitude.roll)
-            );
-        }
-    }
+async fn report(shared: &'static Bus) -> ! {
+    report::run(shared).await
 }

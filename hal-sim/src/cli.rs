@@ -193,6 +193,9 @@ struct UnitArgs {
     /// Write what the unit's serial port sends: NMEA 0183
     #[arg(long, value_name = "FILE")]
     nmea: Option<PathBuf>,
+    /// The same with every sample in it, for `replay` and `convert`: types `record on` first of all
+    #[arg(long, value_name = "FILE", conflicts_with = "nmea")]
+    record: Option<PathBuf>,
     /// Type a line to the unit at a time, s since power-up: "200 calibrate"; may be given again
     #[arg(long = "type", value_name = "\"T LINE\"")]
     typed: Vec<Typed>,
@@ -1100,6 +1103,8 @@ impl unit_sim::Observer for UnitObserver {
     }
 }
 
+/// When a record begins, s: the unit listens.
+const RECORD_S: f64 = 0.1;
 /// Longest run there is, s: four days.
 const LONGEST_RUN_S: f64 = 360_000.0;
 
@@ -1114,18 +1119,26 @@ fn unit(args: &UnitArgs, quiet: bool) -> Done {
         // Also with --quiet: without it nobody finds the unit.
         eprintln!("the unit's serial line: hal-sim link {}", served.name);
     }
+    let mut typed = args.typed.clone();
+    if args.record.is_some() {
+        typed.push(Typed {
+            at_s: RECORD_S,
+            text: "record on".to_owned(),
+        });
+    }
+    let port = args.record.as_deref().or(args.nmea.as_deref());
     let mut observer = UnitObserver {
         bar: bar(scenario.run.duration_s as u64, "s", quiet),
         level: args.log_level,
         quiet,
         json: args.json,
-        nmea: args.nmea.as_deref().map(NmeaFile::create).transpose()?,
+        nmea: port.map(NmeaFile::create).transpose()?,
         served,
         problem: None,
     };
     let begun = std::time::Instant::now();
     let seed = args.simulated.seed;
-    let result = unit_sim::run_session(&scenario, seed, args.method, &args.typed, &mut observer).map_err(words)?;
+    let result = unit_sim::run_session(&scenario, seed, args.method, &typed, &mut observer).map_err(words)?;
     observer.bar.finish_and_clear();
     if let Some(problem) = observer.problem {
         return Err(problem);

@@ -12,16 +12,19 @@ use app::fault::Fault;
 use app::mode::Status;
 use app::nmea::{self, HeadingMode};
 use app::record::{self, Recorder, Taken};
-use app::shared::TimedSample;
+
+use app::shared::{Navigation, TimedSample};
 use assert_cmd::Command;
 use drivers::{Channels, Identity, Scale};
 use frames::units::DEG;
 use frames::{Sensor, Vec3};
 use hal_sim::align::{self, Method, Setup};
+use hal_sim::bus::UartLine;
 use hal_sim::log::{LogError, LogReader, LogRow, LogWriter, Loss, Lost, UnitStatus};
 use hal_sim::replay::{self, Observer, Replay};
 use hal_sim::scenario::Scenario;
 use hal_sim::simulate::Simulation;
+use hal_sim::unit_sim;
 use nav::aligner::{Aligner, Event};
 use nav::increment::Sample;
 use nav::model::ROBUST;
@@ -969,4 +972,88 @@ fn a_recording_calibrates() {
     // The intervals of the CSV are the clock's, with its jitter: 5 ppm of the scale factor's 190.
     let close = |(a, b): (&f64, &f64)| (a - b).abs() <= 0.03 * a.abs().max(1.0);
     assert!(binary.iter().zip(&csv).all(close), "{binary:?} {csv:?}");
+}
+
+/// What comes from the serial port of a whole unit, and what the unit had.
+#[derive(Default)]
+struct Line {
+    bytes: Vec<u8>,
+    last: Option<Navigation>,
+}
+
+impl unit_sim::Observer for Line {
+    fn sentence(&mut self, line: &UartLine) {
+        self.bytes.extend_from_slice(&line.bytes);
+    }
+
+    fn estimate(&mut self, navigation: &Navigation) {
+        self.last = Some(*navigation);
+    }
+}
+
+/// The unit in virtual time is told to record, and in the midst of its first alignment to align again at another place.
+#[test]
+fn a_whole_unit_records_itself() {
+    let scenario = Scenario {
+        run: hal_sim::scenario::Run {
+            duration_s: 150.0,
+            ..Scenario::builtin("paper-sim").unwrap().run
+        },
+        ..Scenario::builtin("paper-sim").unwrap()
+    };
+    let typed = ["0.1 record on", "50 set latitude 40.001", "50.5 align"].map(|line| line.parse().unwrap());
+    let mut line = Line::default();
+    let result = unit_sim::run_session(&scenario, 3, Method::Robust, &typed, &mut line).unwrap();
+    assert_eq!((result.state, result.samples.overruns), ("aligned", 0));
+
+    let reader = LogReader::new(&line.bytes[..], "u.bin").unwrap();
+    let header = reader.header().unwrap();
+    assert_eq!(
+        (header.firmware.as_str(), header.imu.product),
+        (env!("CARGO_PKG_VERSION"), 16495)
+    );
+    let (rows, loss, wrong) = read(&line.bytes);
+    assert_eq!(wrong, None);
+    for kind in [
+        Lost::Bytes,
+        Lost::Samples,
+        Lost::Times,
+        Lost::Impossible,
+        Lost::Restarts,
+    ] {
+        assert_eq!(loss.count(kind), 0, "{kind:?}");
+    }
+    // Ten cycles a second of three sentences at the least: the line has room for them.
+    assert!(loss.sentences as f64 > 0.95 * 30.0 * result.t_s, "{}", loss.sentences);
+    assert!(line.bytes.len() as f64 / result.t_s < 0.9 * 11_520.0);
+
+    let unit = line.last.unwrap();
+    let estimate = unit.estimate.unwrap();
+    let mut aligner: Aligner<f32, ROBUST> = Setup::of(&scenario, Method::Robust).aligner().unwrap();
+    let mut anew = 0;
+    for row in rows.iter().filter(|row| row.t_s * 1e6 < unit.t_us as f64 + 0.5) {
+        match row.taken.unwrap() {
+            Taken::AlignerAnew => {
+                anew += 1;
+                aligner
+                    .set_place((if anew == 1 { 40.0 } else { 40.001 } * DEG) as f32, 0.0)
+                    .unwrap();
+            }
+            Taken::Aligner => {}
+            Taken::No | Taken::Navigator => continue,
+        }
+        aligner.step(&sample_of(row), row.encoder as f32);
+    }
+    assert_eq!(anew, 2);
+    let replayed = aligner.estimate().unwrap();
+    assert_eq!((replayed.c_nb, replayed.sd), (estimate.c_nb, estimate.sd));
+    assert_eq!(replayed.gyro_bias_s, estimate.gyro_bias_s);
+
+    // The command does the same with the file alone, but that it keeps to one place.
+    let mut seen = Seen::default();
+    let replay = self::replayed(&line.bytes, &mut seen);
+    assert_eq!(replay.state, "aligned");
+    assert!((replay.heading_sd_deg.unwrap() - f64::from(estimate.sd.heading) / DEG).abs() < 0.01);
+    let told: Vec<_> = seen.statuses.iter().map(ToString::to_string).collect();
+    assert_eq!(told, ["self-test", "homing", "coarse", "fine", "aligned"]);
 }

@@ -67,6 +67,9 @@ struct Cli {
     /// Write the sentences of the serial line to a file instead of among the log
     #[arg(long, value_name = "FILE")]
     nmea: Option<PathBuf>,
+    /// Write all that comes over the serial line, after `--type "1 record on"` with every sample: for `hal-sim replay`
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
     /// Write the unit's log as a probe gets it, raw frames of defmt: `hal-sim inspect FILE --elf IMAGE` reads them
     #[arg(long, value_name = "FILE")]
     rtt: Option<PathBuf>,
@@ -155,6 +158,7 @@ struct Printer {
     bar: ProgressBar,
     quiet: bool,
     nmea: Option<BufWriter<File>>,
+    record: Option<BufWriter<File>>,
     rtt: Option<BufWriter<File>>,
     /// The first error of writing sentences or frames.
     failed: Arc<Mutex<Option<io::Error>>>,
@@ -185,6 +189,13 @@ impl Observer for Printer {
         } else if !self.quiet && !nmea::is_answer(&sentence.text) {
             // An answer is in the log.
             self.bar.suspend(|| print(&format!("{}\n", sentence.text)));
+        }
+    }
+
+    fn serial(&mut self, byte: u8) {
+        if let Some(file) = &mut self.record {
+            let written = file.write_all(&[byte]);
+            self.keep(written);
         }
     }
 
@@ -244,6 +255,7 @@ fn command(cli: &Cli) -> Result<Verdict, String> {
         bar: bar(cli),
         quiet: cli.quiet,
         nmea: writer(cli.nmea.as_deref())?,
+        record: writer(cli.record.as_deref())?,
         rtt: writer(cli.rtt.as_deref())?,
         failed: Arc::clone(&failed),
     };
@@ -251,7 +263,7 @@ fn command(cli: &Cli) -> Result<Verdict, String> {
     let json = cli.json.as_deref().map(create).transpose()?;
     let (outcome, printer) = run::run(&image, &setup, printer).map_err(words)?;
     printer.bar.finish_and_clear();
-    for file in [printer.nmea, printer.rtt].into_iter().flatten() {
+    for file in [printer.nmea, printer.record, printer.rtt].into_iter().flatten() {
         file.into_inner()
             .map_err(|e| format!("cannot write sentences or frames: {e}"))?;
     }

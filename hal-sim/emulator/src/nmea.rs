@@ -1,5 +1,6 @@
 //! What comes over the serial line: sentences of NMEA 0183, cut from the bytes and checked.
 
+use app::record;
 use hal_sim::align::Angles;
 use serde::Serialize;
 
@@ -35,6 +36,8 @@ pub struct Received {
     pub bytes: u64,
     /// Sentences whose check sum is right.
     pub sentences: u64,
+    /// Frames of the record.
+    pub frames: u64,
     /// Lines that are no such sentence.
     pub others: u64,
 }
@@ -56,6 +59,16 @@ impl Splitter {
         }
         self.last_ns = Some(t_ns);
         self.received.bytes += 1;
+        if let [record::SYNC, rest @ ..] = &self.line[..] {
+            let whole = rest.first().map(|body| record::LEAD + usize::from(*body) + record::CRC);
+            if whole.is_some_and(|whole| self.line.len() + 1 == whole) {
+                self.line.clear();
+                self.received.frames += 1;
+            } else {
+                self.line.push(byte);
+            }
+            return None;
+        }
         if byte != b'\n' {
             self.line.push(byte);
             return None;

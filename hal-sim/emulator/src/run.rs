@@ -129,6 +129,8 @@ pub trait Observer: Send + 'static {
     fn line(&mut self, _line: &Line) {}
     /// A sentence has come over the serial line.
     fn sentence(&mut self, _sentence: &Sentence) {}
+    /// A byte has come over the serial line.
+    fn serial(&mut self, _byte: u8) {}
     /// The unit's log as it is written: frames of defmt, in pieces.
     fn rtt(&mut self, _bytes: &[u8]) {}
     /// Virtual time has come so far, s.
@@ -540,6 +542,7 @@ impl<O: Observer> World<O> {
         }
         let heard = session.board_mut().part.usart_peer::<Listener>(board::SERIAL);
         for (t_ns, byte) in heard.map(Listener::take).unwrap_or_default() {
+            self.observer.serial(byte);
             match self.splitter.push(t_ns, byte) {
                 Some(Heard::Sentence(sentence)) => self.sentence(&sentence),
                 Some(Heard::Other(text)) => self.tell(t_ns, format!("< {text}")),

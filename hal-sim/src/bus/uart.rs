@@ -8,6 +8,7 @@ use core::task::{Context, Poll};
 use std::collections::VecDeque;
 use std::rc::Rc;
 
+use app::record;
 use embedded_io_async::{Error, ErrorKind, ErrorType, Read, Write};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -306,14 +307,14 @@ impl Write for UartTx {
     }
 }
 
-/// A line of text from the unit.
+/// A line of text from the unit, or a frame of its record.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UartLine {
     /// End of its first byte.
     pub started_ns: u64,
-    /// End of its line feed.
+    /// End of its last byte.
     pub ended_ns: u64,
-    /// The bytes, line feed included.
+    /// The bytes, to the line feed or the end of the frame.
     pub bytes: Vec<u8>,
 }
 
@@ -344,7 +345,7 @@ impl UartHost {
         core::iter::from_fn(|| wire.to_host.pop_front_if(|(at_ns, _)| *at_ns <= now_ns)).collect()
     }
 
-    /// The next whole line from the unit.
+    /// The next whole line from the unit, or the next frame.
     ///
     /// Cancellation: safe; what has come of the line is kept for the next call.
     pub async fn line(&mut self) -> UartLine {
@@ -356,7 +357,7 @@ impl UartHost {
                     self.started_ns = at_ns;
                 }
                 self.line.push(byte);
-                if byte == b'\n' {
+                if self.ends(byte, self.line.len()) {
                     return Poll::Ready(UartLine {
                         started_ns: self.started_ns,
                         ended_ns: at_ns,
@@ -366,13 +367,26 @@ impl UartHost {
             }
             wire.host.register(cx.waker());
             // To be woken once for a line, not for each byte: at its end, as far as it is on the way.
-            let end = wire.to_host.iter().find(|(_, byte)| *byte == b'\n');
+            let mut count = self.line.len();
+            let end = wire.to_host.iter().find(|(_, byte)| {
+                count += 1;
+                self.ends(*byte, count)
+            });
             if let Some((end_ns, _)) = end {
                 let _ = poll_at(*end_ns, cx);
             }
             Poll::Pending
         })
         .await
+    }
+
+    /// Whether the line is whole with this byte, which is the `count`th.
+    fn ends(&self, byte: u8, count: usize) -> bool {
+        match self.line[..] {
+            [record::SYNC, body, ..] => count >= record::LEAD + usize::from(body) + record::CRC,
+            [record::SYNC] => false,
+            _ => byte == b'\n',
+        }
     }
 
     /// Faults of the line from now on.

@@ -7,8 +7,8 @@
 //! * `Display`, what a host's log has (`hal-sim unit`);
 //! * `Debug`, what defmt's derived format amounts to (the image).
 //!
-//! Outside of [`Event`] the image says three things more, in `firmware/src`: what it was started by, which settings are not
-//! as stored, and once a second its estimate. Of the latter the labels count, not what is between them.
+//! Outside of [`Event`] the image says three things more, in `firmware/src`: its version, what it was started by, and which
+//! settings are not as stored. Of the line that comes once a second the labels count, not what is between them.
 
 use core::fmt::{Debug, Display};
 
@@ -31,6 +31,8 @@ const ROLL: &str = "roll";
 
 /// Before what of the settings is not as stored.
 const SETTINGS: &str = "settings: ";
+/// Before the version.
+const VERSION: &str = "rotary-north ";
 
 /// Attitude as the unit tells it, degrees.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -185,11 +187,14 @@ impl Wording {
                 cause: cause.to_owned(),
             });
         }
-        if text.starts_with(SETTINGS) {
+        if text.starts_with(SETTINGS) || text.starts_with(VERSION) {
             return Some(Told::Note);
         }
         if let Some(attitude) = estimate(&text) {
             return Some(Told::Estimate(attitude));
+        }
+        if is_report(&text) {
+            return Some(Told::Note);
         }
         self.patterns.iter().find_map(|pattern| {
             let values = pattern.values(&text)?;
@@ -500,6 +505,13 @@ fn estimate(text: &str) -> Option<Attitude> {
     })
 }
 
+/// Whether it is the line of a second without an estimate.
+fn is_report(text: &str) -> bool {
+    let text = text.strip_prefix("Report(").unwrap_or(text);
+    let mut words = text.split(' ');
+    words.next().and_then(mode).is_some() && words.next() == Some("rotor")
+}
+
 /// The number after a label; between them may be the rest of a field's name and signs.
 fn labelled(text: &str, label: &str) -> Option<f64> {
     let word = |c: char| c.is_ascii_alphanumeric() || c == '_';
@@ -517,6 +529,7 @@ fn labelled(text: &str, label: &str) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use app::fault::Task;
+    use app::log::Report;
     use app::rotor::{Refused, RotorFault};
     use app::selftest::Failure;
     use drivers::mt6835::Warnings;
@@ -564,7 +577,16 @@ mod tests {
             Event::Repeated { tally } => Told::Repeated { total: tally.repeated },
             Event::Transfer(_) => Told::Transfer,
             Event::Overrun { samples } => Told::Overrun { total: samples },
-            Event::Command(_) | Event::Refused { .. } => Told::Note,
+            Event::Command(_) | Event::Refused { .. } | Event::Report(Report { attitude_deg: None, .. }) => Told::Note,
+            Event::Report(Report {
+                attitude_deg: Some([heading, pitch, roll, sd]),
+                ..
+            }) => Told::Estimate(Attitude {
+                heading_deg: heading.into(),
+                heading_sd_deg: sd.into(),
+                pitch_deg: pitch.into(),
+                roll_deg: roll.into(),
+            }),
         }
     }
 
@@ -765,33 +787,39 @@ mod tests {
             strings.filter(|text| text.contains("{}"))
         };
         let wording = Wording::learn();
-        let fill = |text: &str| {
-            let mut numbers = [335.671_88, 0.899_688_84, -4.984_77, -4.215_920_4].iter();
-            let mut parts = text.split("{}");
-            let mut line = parts.next().unwrap_or_default().to_owned();
-            for part in parts {
-                line += &format!("{}{part}", numbers.next().unwrap_or(&0.0));
-            }
-            wording.read(&line)
-        };
-        let attitude = Attitude {
-            heading_deg: 335.671_88,
-            heading_sd_deg: 0.899_688_84,
-            pitch_deg: -4.984_77,
-            roll_deg: -4.215_920_4,
-        };
+        let fill = |text: &str| wording.read(&text.replace("{}", "x"));
         for text in texts() {
             assert!(fill(text).is_some(), "`{text}` is not understood");
         }
         let found: Vec<_> = texts().map(fill).collect();
         assert!(
-            found.contains(&Some(Told::Estimate(attitude))),
-            "the estimate's line is not understood: {found:?}"
-        );
-        assert!(
             found.iter().any(|told| matches!(told, Some(Told::Started { .. }))),
             "the start's line is not understood: {found:?}"
         );
+    }
+
+    #[test]
+    fn the_line_of_a_second_is_read_back() {
+        let wording = Wording::learn();
+        let report = |attitude_deg| {
+            let report = Report {
+                mode: ModeName::Navigating,
+                attitude_deg,
+                rotor_deg: Some(-12.34),
+            };
+            wording.read(&Event::Report(report).to_string())
+        };
+        let attitude = Attitude {
+            heading_deg: 5.68,
+            heading_sd_deg: 0.35,
+            pitch_deg: -0.06,
+            roll_deg: 12.0,
+        };
+        assert_eq!(
+            report(Some([5.678, -0.061, 11.996, 0.349_7])),
+            Some(Told::Estimate(attitude))
+        );
+        assert_eq!(report(None), Some(Told::Note));
     }
 
     #[test]

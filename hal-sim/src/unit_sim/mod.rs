@@ -38,6 +38,7 @@ use app::hal::{ChangeOver, Edge, EdgeCapture, MagneticEncoder, ResetCause};
 use app::mode::Status;
 use app::motor::{self, Drive, HARMONICS};
 use app::output::{self, OutputConfig, Port};
+use app::report;
 use app::rotor::{self, HomeSwitch, Homing, Rotor};
 use app::sampling::{self, SamplingConfig};
 use app::selftest::InspectionConfig;
@@ -76,6 +77,8 @@ use session::{Outbox, Ram};
 pub use session::{RobustSession, Session, Watched};
 use world::World;
 
+/// Of the unit's program.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// Longest start of a unit: when it has not begun to align by then, the run's time begins.
 const START_LIMIT_S: f64 = 60.0;
 /// The watchdog's time, ns.
@@ -590,7 +593,7 @@ fn bench<const B: usize>(
             ..SamplingConfig::default()
         },
         tasks: Rc::default(),
-        shared: Rc::new(RefCell::new(Rc::new(Shared::new(factory)))),
+        shared: Rc::new(RefCell::new(Rc::new(Bus::new(VERSION, factory)))),
         flash: device::flash::Flash::new(seed).awaited(),
         ram: Ram::garbage(seed),
         outbox: Rc::default(),
@@ -721,7 +724,7 @@ fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>, cause
     let mut store = Store::new(bench.flash.clone());
     // Reading takes the part no time.
     let (settings, _) = embassy_futures::block_on(store.load_over(bench.factory));
-    let shared = Rc::new(Bus::new(settings));
+    let shared = Rc::new(Bus::new(VERSION, settings));
     *bench.shared.borrow_mut() = Rc::clone(&shared);
     let timing = |hz| SpiTiming {
         latency_ns: DMA_LATENCY_NS,
@@ -773,6 +776,10 @@ fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>, cause
     });
     supervisor.set_cost(Duration::from_micros(10));
 
+    let s = Rc::clone(&shared);
+    let report = executor.spawn("report", Level::Thread, async move { report::run(&s).await });
+    report.set_cost(Duration::from_micros(50));
+
     let (world, record) = (bench.world.clone(), Rc::clone(&bench.record));
     let recorder = executor.spawn("recorder", Level::World, async move {
         let (Some(mut status), Some(mut navigation)) = (shared.status.receiver(), shared.navigation.receiver()) else {
@@ -790,7 +797,7 @@ fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>, cause
         }
     });
     // By the index of the task, then the others.
-    let mut tasks = vec![sampling, motor, alignment, supervisor, recorder];
+    let mut tasks = vec![sampling, motor, alignment, supervisor, report, recorder];
     if let Some(task) = bench.hangs_at_start.get() {
         tasks[task.index()].freeze(true);
     }

@@ -4,7 +4,7 @@
 //! millisecond at 168 MHz; the bounded channel holds what comes in meanwhile.
 //!
 //! The calibration of the gyros is applied here, to each sample before anything else sees it, but for the calibration
-//! itself and the self-test's inspection.
+//! itself and the self-test's inspection. What goes into the [`record`](crate::record) is what was taken, after it.
 
 use embassy_futures::select::{Either3, select3};
 use embassy_sync::blocking_mutex::raw::RawMutex;
@@ -15,11 +15,13 @@ use nav::calibration::{Calibration, CalibrationConfig, CalibrationError, Calibra
 use nav::increment::Sample;
 use nav::mechanization::{Position, Vertical};
 use nav::navigator::{Navigator, NavigatorConfig};
+use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 
 use crate::fault::Task;
 use crate::log::{Alignment, CalibrationFailure, GyrosCalibrated, NavigationEnd};
 use crate::mode::{Input, Job};
+use crate::record::{Taken, Tap};
 use crate::selftest::{Inspection, InspectionConfig};
 use crate::settings::{Imu, Mounting, Position as Place, Thermal};
 use crate::shared::{Navigation, Shared, TimedSample};
@@ -44,6 +46,10 @@ pub struct AlignmentConfig {
     pub calibration: CalibrationConfig,
     /// How the unit navigates.
     pub navigator: NavigatorConfig,
+    /// What the aligner takes the IMU for, and the rotor's schedule: for the record.
+    pub noise: ImuNoise,
+    /// See there.
+    pub schedule: RotorConfig,
 }
 
 impl AlignmentConfig {
@@ -78,6 +84,8 @@ impl AlignmentConfig {
                 longest_gap: aligner.longest_gap,
                 angle_random_walk: noise.angle_random_walk,
             },
+            noise: *noise,
+            schedule: *rotor,
         }
     }
 }
@@ -95,11 +103,23 @@ enum Work {
     Navigate(Navigator),
 }
 
+impl Work {
+    /// What takes the sample, and so with the calibration applied.
+    fn takes(&self, sample: &TimedSample) -> Taken {
+        match self {
+            Self::Align if sample.alpha.is_some() => Taken::Aligner,
+            Self::Navigate(_) if sample.alpha.is_some() => Taken::Navigator,
+            _ => Taken::No,
+        }
+    }
+}
+
 /// The task. The aligner is the caller's: it is 40 kB, and belongs into a static.
 pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, config: AlignmentConfig) -> ! {
     let mut work = Work::Idle;
     let mut correction = Correction::default();
     let mut mounting = Mounting::default();
+    let mut tap = Tap::new(config.noise, config.schedule, shared.settings().position());
     let mut since_published = 0;
     loop {
         shared.check_in(Task::Alignment);
@@ -107,7 +127,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
             Either3::First(job) => {
                 // What waits was measured before.
                 shared.forget_samples();
-                work = begin(shared, aligner, job, &config);
+                work = begin(shared, aligner, &mut tap, job, &config);
                 let settings = shared.settings();
                 correction = Correction {
                     imu: settings.imu,
@@ -119,7 +139,13 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
             Either3::Second(sample) => sample,
             Either3::Third(()) => continue,
         };
-        if let Some(input) = work_on(&mut work, aligner, &sample, &correction, shared) {
+        let taken = work.takes(&sample);
+        let mut sample = sample;
+        if taken != Taken::No {
+            sample.sample = correction.of(&sample);
+        }
+        tap.take(shared, &sample, taken);
+        if let Some(input) = work_on(&mut work, aligner, &sample, shared) {
             if !matches!(input, Input::Alignment(_) | Input::Rested) {
                 work = Work::Idle;
             }
@@ -140,21 +166,30 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
     }
 }
 
-fn begin<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, job: Job, config: &AlignmentConfig) -> Work {
+fn begin<M: RawMutex>(
+    shared: &Shared<M>,
+    aligner: &mut dyn Align,
+    tap: &mut Tap,
+    job: Job,
+    config: &AlignmentConfig,
+) -> Work {
+    let place = shared.settings().position();
     let Place {
         latitude,
         longitude,
         height,
         ..
-    } = shared.settings().position();
+    } = place;
     match job {
         Job::Idle => Work::Idle,
         Job::Inspect => Work::Inspect(Inspection::new(config.inspection)),
         Job::Align => {
             // A place that cannot be is refused where it is set; here the one before would stay.
-            if aligner.set_place(latitude, height).is_err() {
+            let set = aligner.set_place(latitude, height);
+            if set.is_err() {
                 aligner.start_anew();
             }
+            tap.anew(set.ok().map(|()| place));
             Work::Align
         }
         Job::Calibrate { aligned } => {
@@ -211,24 +246,22 @@ impl Correction {
     }
 }
 
-/// One sample; what the supervisor is to know of it.
+/// One sample, as [`Work::takes`] says; what the supervisor is to know of it.
 fn work_on<M: RawMutex>(
     work: &mut Work,
     aligner: &mut dyn Align,
     sample: &TimedSample,
-    correction: &Correction,
     shared: &Shared<M>,
 ) -> Option<Input> {
-    let raw = &sample.sample;
-    let corrected = || correction.of(sample);
+    let increments = &sample.sample;
     match work {
         Work::Idle => None,
-        Work::Inspect(inspection) => inspection.push(raw).map(Input::Inspected),
+        Work::Inspect(inspection) => inspection.push(increments).map(Input::Inspected),
         Work::Align => {
-            let event = aligner.step(&corrected(), sample.alpha?)?;
+            let event = aligner.step(increments, sample.alpha?)?;
             Some(Input::Alignment(Alignment::from(&event)))
         }
-        Work::Calibrate(calibrating) => match calibrating.step(raw, sample.alpha?) {
+        Work::Calibrate(calibrating) => match calibrating.step(increments, sample.alpha?) {
             Ok(Progress::None) => None,
             Ok(Progress::Rested) => Some(Input::Rested),
             Ok(Progress::Done(found)) => {
@@ -245,7 +278,7 @@ fn work_on<M: RawMutex>(
             Err(error) => Some(Input::GyrosCalibrated(Err(CalibrationFailure::from(error)))),
         },
         Work::Navigate(navigator) => {
-            let stepped = navigator.step(&corrected(), sample.alpha?);
+            let stepped = navigator.step(increments, sample.alpha?);
             stepped.err().map(|error| Input::NavigationEnded(error.into()))
         }
     }

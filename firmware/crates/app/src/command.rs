@@ -81,6 +81,23 @@ impl ModeName {
     }
 }
 
+impl ModeName {
+    /// [`ModeName::as_str`] with blanks, for a column: the longest has eleven letters.
+    pub const fn column(self) -> &'static str {
+        match self {
+            Self::Idle => "idle       ",
+            Self::SelfTest => "self-test  ",
+            Self::Homing => "homing     ",
+            Self::Calibrating => "calibrating",
+            Self::Coarse => "coarse     ",
+            Self::Fine => "fine       ",
+            Self::Aligned => "aligned    ",
+            Self::Navigating => "navigating ",
+            Self::Fault => "fault      ",
+        }
+    }
+}
+
 impl fmt::Display for ModeName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.as_str())

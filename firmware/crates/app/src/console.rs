@@ -16,6 +16,7 @@
 //! save                     keep settings and calibration
 //! faults                   the last faults and crashes, over resets; `faults clear` forgets them
 //! log info                 error, warn, info or debug
+//! record on                every sample between the sentences, for a replay; or off
 //! ```
 //!
 //! Upper and lower case are the same, blanks more or less as well; an empty line, or one that begins with `#`, is
@@ -66,6 +67,8 @@ pub enum Request {
     ClearFaults,
     /// What the log is to tell.
     Log(Level),
+    /// Whether every sample is to go out.
+    Record(bool),
     /// Something for the modes.
     Unit(Command),
 }
@@ -215,6 +218,8 @@ enum Rest {
     Level,
     /// Nothing, or `clear`.
     Clear,
+    /// `on` or `off`.
+    Switch,
 }
 
 /// A word of the console.
@@ -236,7 +241,7 @@ const fn word(name: &'static str, request: Request, help: &'static str) -> Word 
 }
 
 /// All words there are.
-pub const WORDS: [Word; 15] = [
+pub const WORDS: [Word; 16] = [
     word("help", Request::Help, "this list"),
     word("status", Request::Status, "the status sentence now"),
     word("version", Request::Version, "of the program"),
@@ -280,6 +285,11 @@ pub const WORDS: [Word; 15] = [
         rest: Rest::Level,
         help: "error, warn, info or debug",
     },
+    Word {
+        name: "record",
+        rest: Rest::Switch,
+        help: "on or off - every sample between the sentences",
+    },
 ];
 
 /// Why a line is no request. Its text says what was expected.
@@ -298,6 +308,8 @@ pub enum LineError {
     Level,
     /// Something else than `clear`.
     Clear,
+    /// Neither `on` nor `off`.
+    Switch,
     /// Longer than [`LONGEST`].
     Long,
     /// With a byte that is no printable ASCII: noise, or another baud rate.
@@ -314,6 +326,7 @@ impl LineError {
             Self::Number => "expected a number as -12.345",
             Self::Level => "expected log error, warn, info or debug",
             Self::Clear => "expected faults or faults clear",
+            Self::Switch => "expected record on or record off",
             Self::Long => "expected at most 64 characters on a line",
             Self::Garbled => "expected ASCII at 115200 baud 8N1",
         }
@@ -367,6 +380,11 @@ pub fn parse(line: &[u8]) -> Result<Option<Request>, LineError> {
             [] => Request::Faults,
             clear if is("clear", clear) => Request::ClearFaults,
             _ => return Err(LineError::Clear),
+        },
+        Rest::Switch => match next() {
+            on if is("on", on) => Request::Record(true),
+            off if is("off", off) => Request::Record(false),
+            _ => return Err(LineError::Switch),
         },
     };
     if next().is_empty() {
@@ -501,7 +519,16 @@ async fn obey<M: RawMutex, F: NorFlash>(
             port.status();
             return;
         }
-        Request::Version => (true, concat!("rotary-north ", env!("CARGO_PKG_VERSION"))),
+        Request::Version => {
+            let mut line = Line::answer(true);
+            line.words("rotary-north ");
+            line.words(shared.version());
+            return port.answer(line.end()).await;
+        }
+        Request::Record(on) => {
+            shared.set_recording(on);
+            (true, if on { "recording" } else { "not recording" })
+        }
         Request::Log(level) => {
             shared.set_log_level(level);
             (true, level.name())
@@ -681,6 +708,7 @@ mod tests {
                 Rest::Setting => assert_eq!(parse(word.name.as_bytes()), Err(LineError::Setting)),
                 Rest::Level => assert_eq!(parse(word.name.as_bytes()), Err(LineError::Level)),
                 Rest::Clear => assert_eq!(parse(word.name.as_bytes()), Ok(Some(Request::Faults))),
+                Rest::Switch => assert_eq!(parse(word.name.as_bytes()), Err(LineError::Switch)),
             }
             assert_eq!(WORDS.iter().filter(|other| other.name == word.name).count(), 1);
             // With name and hyphen it goes into one answer.
@@ -758,6 +786,15 @@ mod tests {
             (
                 b"FAULTS clear\nfaults all\nfaults clear now\n",
                 &[Ok(Request::ClearFaults), Err(E::Clear), Err(E::Excess)],
+            ),
+            (
+                b"record on\nRecord OFF\nrecord\nrecord on off\n",
+                &[
+                    Ok(Request::Record(true)),
+                    Ok(Request::Record(false)),
+                    Err(E::Switch),
+                    Err(E::Excess),
+                ],
             ),
             // What the unit itself sends, on a line that echoes.
             (b"$HETHS,,V*14\r\n", &[Err(E::Unknown)]),

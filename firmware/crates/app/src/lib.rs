@@ -20,6 +20,7 @@
 //! | [`nmea`] | sentences of NMEA 0183, pure |
 //! | [`output`] | estimates and status → sentences on a serial line |
 //! | [`record`] | samples and status → frames of a binary log, pure |
+//! | [`report`] | what the unit does → a line of the log, once a second |
 //! | [`settings`] | the unit's settings, and their store in flash |
 //! | [`console`] | commands on a serial line, the parser, pure |
 //! | [`rotor`] | the motor's control, pure |
@@ -50,6 +51,7 @@ pub mod nmea;
 pub mod nmea_in;
 pub mod output;
 pub mod record;
+pub mod report;
 pub mod rotor;
 pub mod sampling;
 pub mod selftest;

@@ -100,6 +100,111 @@ pub enum Event {
         /// The mode.
         mode: ModeName,
     },
+    /// What the unit does, once a second.
+    Report(Report),
+}
+
+/// What the unit does, in the units of people.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Report {
+    /// Its mode.
+    pub mode: ModeName,
+    /// Heading, pitch, roll and the heading's 1σ, degrees, where there is an estimate.
+    pub attitude_deg: Option<[f32; 4]>,
+    /// Angle of the rotor, degrees; `None` while the turn is unknown.
+    pub rotor_deg: Option<f32>,
+}
+
+impl Report {
+    /// Of an estimate, and the rotor's angle, rad.
+    pub fn new(mode: ModeName, estimate: Option<&aligner::Estimate>, rotor: Option<f32>) -> Self {
+        let deg = |x: f32| x / DEG as f32;
+        Self {
+            mode,
+            attitude_deg: estimate.map(|estimate| {
+                let attitude = &estimate.attitude;
+                [attitude.heading, attitude.pitch, attitude.roll, estimate.sd.heading].map(deg)
+            }),
+            rotor_deg: rotor.map(deg),
+        }
+    }
+}
+
+/// A number with so many digits behind the point. defmt has no such format.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Fixed<const DIGITS: u32> {
+    negative: bool,
+    whole: u16,
+    fraction: u16,
+}
+
+impl<const DIGITS: u32> Fixed<DIGITS> {
+    /// What is no number is told as more than any angle.
+    fn new(x: f32) -> Self {
+        let scale = 10_u32.pow(DIGITS);
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "saturates; NaN is made the greatest before"
+        )]
+        let steps = (x.abs().min(999.9) * scale as f32 + 0.5) as u32;
+        #[expect(clippy::cast_possible_truncation, reason = "below 1000 both, as DIGITS is at most 3")]
+        Self {
+            negative: x < 0.0 && steps > 0,
+            whole: (steps / scale) as u16,
+            fraction: (steps % scale) as u16,
+        }
+    }
+
+    const fn sign(self) -> &'static str {
+        if self.negative { "-" } else { "+" }
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.mode.column())?;
+        if let Some([heading, pitch, roll, sd]) = self.attitude_deg {
+            let (h, sd) = (Fixed::<2>::new(heading), Fixed::<3>::new(sd));
+            let (p, r) = (Fixed::<2>::new(pitch), Fixed::<2>::new(roll));
+            write!(
+                f,
+                " heading {:03}.{:02} deg, sd {}.{:03}",
+                h.whole, h.fraction, sd.whole, sd.fraction
+            )?;
+            write!(f, ", pitch {}{:02}.{:02}", p.sign(), p.whole, p.fraction)?;
+            write!(f, ", roll {}{:02}.{:02}", r.sign(), r.whole, r.fraction)?;
+        }
+        match self.rotor_deg.map(Fixed::<1>::new) {
+            Some(a) => write!(f, " rotor {}{:03}.{}", a.sign(), a.whole, a.fraction),
+            None => f.write_str(" rotor unknown"),
+        }
+    }
+}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for Report {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        defmt::write!(f, "{=str}", self.mode.column());
+        if let Some([heading, pitch, roll, sd]) = self.attitude_deg {
+            let (h, sd) = (Fixed::<2>::new(heading), Fixed::<3>::new(sd));
+            let (p, r) = (Fixed::<2>::new(pitch), Fixed::<2>::new(roll));
+            defmt::write!(
+                f,
+                " heading {=u16:03}.{=u16:02} deg, sd {=u16}.{=u16:03}",
+                h.whole,
+                h.fraction,
+                sd.whole,
+                sd.fraction
+            );
+            defmt::write!(f, ", pitch {=str}{=u16:02}.{=u16:02}", p.sign(), p.whole, p.fraction);
+            defmt::write!(f, ", roll {=str}{=u16:02}.{=u16:02}", r.sign(), r.whole, r.fraction);
+        }
+        match self.rotor_deg.map(Fixed::<1>::new) {
+            Some(a) => defmt::write!(f, " rotor {=str}{=u16:03}.{=u16}", a.sign(), a.whole, a.fraction),
+            None => defmt::write!(f, " rotor unknown"),
+        }
+    }
 }
 
 /// What the calibration of the gyros has found, in the units of people.
@@ -366,6 +471,7 @@ impl fmt::Display for Event {
             Self::Overrun { samples } => write!(f, "alignment does not keep up: {samples} samples dropped"),
             Self::Command(command) => write!(f, "command {command:?}"),
             Self::Refused { command, mode } => write!(f, "command {command:?} makes no sense in mode {mode}"),
+            Self::Report(report) => report.fmt(f),
         }
     }
 }
@@ -407,7 +513,9 @@ impl Event {
             | Self::Overrun { .. }
             | Self::Refused { .. }
             | Self::Transfer(_) => Level::Warn,
-            Self::Lost { .. } | Self::Repeated { .. } | Self::Alignment(Alignment::Bridged { .. }) => Level::Debug,
+            Self::Repeated { .. } | Self::Alignment(Alignment::Bridged { .. }) => Level::Debug,
+            // Where nothing happens nobody wants to read it.
+            Self::Report(report) if matches!(report.mode, ModeName::Idle | ModeName::Fault) => Level::Debug,
             _ => Level::Info,
         }
     }

@@ -20,6 +20,7 @@ use crate::fault::{Fault, Task};
 use crate::hal::{Edge, EdgeCapture};
 use crate::log::Event;
 use crate::mode::Input;
+use crate::record::ImuFacts;
 use crate::shared::{Shared, TimedSample};
 
 /// Samples of one measurement of the period.
@@ -252,10 +253,15 @@ pub async fn run<M: RawMutex, I: Imu, E: EdgeCapture>(
         // A start that takes too long is an IMU that does not answer.
         let started = started.unwrap_or(Err(Error::Silent { level: 0 }));
         shared.tell(Input::Imu(started));
-        if started.is_err() {
+        let Ok(identity) = started else {
             attend(shared, Task::Sampling, shared.imu_start.wait()).await;
             continue;
-        }
+        };
+        shared.imu_is(ImuFacts {
+            identity,
+            scale: imu.scale(),
+            period: imu.period(),
+        });
         sampler.restart(imu.period());
         // An edge from before the settings, if there is one, is none of a sample's that counts.
         let _ = poll_once(edges.edge());

@@ -3,7 +3,7 @@
 //! ```text
 //!                 ┌──────────── imu_start, encoder_start, rotor, job, inhibit ───────────┐
 //!                 ▼                                                                      │
-//!  edge ─► sampling ──samples──► alignment ──navigation──► output                  supervisor ─► watchdog
+//!  edge ─► sampling ──samples──► alignment ─navigation,frames► output              supervisor ─► watchdog
 //!             ▲                      │                       ▲                        ▲  ▲
 //!             │ angle at the edge    │                       └──────── status ────────┘  │
 //!           motor ───────────────────┴──────────────── inputs (and check-ins) ───────────┘
@@ -31,11 +31,14 @@ use crate::command::Command;
 use crate::fault::{Fault, Task};
 use crate::log::{Event, Level};
 use crate::mode::{Input, Job, Status};
+use crate::record::{Frame, ImuFacts};
 use crate::rotor;
 use crate::settings::Settings;
 
 /// Samples that wait for the alignment: 158 ms at 202.4 a second, ten times its longest step.
 pub const SAMPLES: usize = 32;
+/// Frames of the record that wait for the line: as long.
+pub const FRAMES: usize = 32;
 /// Things told to the supervisor that wait for it.
 pub const INPUTS: usize = 16;
 /// Commands that wait.
@@ -150,7 +153,11 @@ impl Angles {
 
 /// What the tasks share. See the [module](self).
 pub struct Shared<M: RawMutex> {
+    version: &'static str,
     samples: Channel<M, TimedSample, SAMPLES>,
+    frames: Channel<M, Frame, FRAMES>,
+    recording: AtomicBool,
+    imu: Mutex<M, Cell<Option<ImuFacts>>>,
     counts: Mutex<M, Cell<SampleCounts>>,
     settings: Mutex<M, Cell<Settings>>,
     angles: Mutex<M, RefCell<Angles>>,
@@ -177,10 +184,14 @@ pub struct Shared<M: RawMutex> {
 }
 
 impl<M: RawMutex> Shared<M> {
-    /// Nothing told yet; the motor inhibited.
-    pub const fn new(settings: Settings) -> Self {
+    /// Nothing told yet; the motor inhibited. `version` is the program's.
+    pub const fn new(version: &'static str, settings: Settings) -> Self {
         Self {
+            version,
             samples: Channel::new(),
+            frames: Channel::new(),
+            recording: AtomicBool::new(false),
+            imu: Mutex::new(Cell::new(None)),
             counts: Mutex::new(Cell::new(SampleCounts {
                 tally: Tally {
                     received: 0,
@@ -217,6 +228,44 @@ impl<M: RawMutex> Shared<M> {
             missed: Mutex::new(Cell::new(None)),
             check_ins: [const { AtomicU32::new(0) }; Task::ALL.len()],
         }
+    }
+
+    /// Of the program, ASCII.
+    pub fn version(&self) -> &'static str {
+        self.version
+    }
+
+    /// The IMU, once it has been configured.
+    pub fn imu(&self) -> Option<ImuFacts> {
+        self.imu.lock(Cell::get)
+    }
+
+    pub(crate) fn imu_is(&self, facts: ImuFacts) {
+        self.imu.lock(|cell| cell.set(Some(facts)));
+    }
+
+    /// Whether every sample is to go out on the serial line, see [`crate::record`].
+    pub fn set_recording(&self, on: bool) {
+        self.recording.store(on, Ordering::Relaxed);
+    }
+
+    /// See [`Shared::set_recording`].
+    pub fn is_recording(&self) -> bool {
+        self.recording.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn room_for_frames(&self) -> usize {
+        self.frames.free_capacity()
+    }
+
+    pub(crate) fn send_frame(&self, frame: Frame) {
+        // Who sends has looked for room.
+        let _ = self.frames.try_send(frame);
+    }
+
+    /// Cancellation: safe.
+    pub(crate) async fn next_frame(&self) -> Frame {
+        self.frames.receive().await
     }
 
     /// The settings as they are now; what is kept over a reset may be older.
