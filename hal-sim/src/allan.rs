@@ -22,6 +22,7 @@
 //!
 //! Not modelled: quantisation, sinusoidal noise, the first-order ramp of a temperature that drifts.
 
+use std::io::BufRead;
 use std::path::Path;
 
 use frames::units::{DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ};
@@ -439,7 +440,14 @@ fn axis(phase: &[f64], dt: f64) -> AxisReport {
 /// # Errors
 /// [`AllanError`] where the log cannot be read, is too short, has gaps, or is not at rest.
 pub fn of_log(path: &Path) -> Result<Report, AllanError> {
-    let mut reader = LogReader::open(path)?;
+    of_reader(LogReader::open(path)?)
+}
+
+/// The same for a log that is open already.
+///
+/// # Errors
+/// As of [`of_log`].
+pub fn of_reader<R: BufRead>(mut reader: LogReader<R>) -> Result<Report, AllanError> {
     let mut dt = None;
     let mut recorder = Recorder::new();
     let (mut stand, mut missing, mut rows) = (None, 0, 0);

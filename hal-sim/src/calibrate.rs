@@ -3,7 +3,7 @@
 //! The log is that of [`crate::log`]. The rest lasts until the encoder leaves where it stood; all after it is the turn,
 //! pauses and reversals included. The mathematics is the unit's own, [`nav::calibration`], in f64.
 
-use std::io;
+use std::io::{self, BufRead};
 use std::path::{Path, PathBuf};
 
 use frames::units::{ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, PPM};
@@ -192,6 +192,14 @@ fn earth_rate(stand: &Stand) -> Result<Vec3<Body, f64>, EarthError> {
 /// # Errors
 /// [`CalibrateError`].
 pub fn of_log(path: &Path, setup: &Setup) -> Result<(Calibration<f64>, Report), CalibrateError> {
+    of_reader(LogReader::open(path)?, setup)
+}
+
+/// The same for a log that is open already.
+///
+/// # Errors
+/// As of [`of_log`].
+pub fn of_reader<R: BufRead>(log: LogReader<R>, setup: &Setup) -> Result<(Calibration<f64>, Report), CalibrateError> {
     let w_ie_b = setup
         .stand
         .as_ref()
@@ -207,7 +215,7 @@ pub fn of_log(path: &Path, setup: &Setup) -> Result<(Calibration<f64>, Report), 
     })?;
     // The sample in which the rotor begins to turn is seen only when it has: within the travel allowed at rest.
     let (mut stand, mut turning) = (None, false);
-    for row in LogReader::open(path)? {
+    for row in log {
         let row = row?;
         turning |= (row.encoder - *stand.get_or_insert(row.encoder)).abs() > REST_TRAVEL;
         if turning {

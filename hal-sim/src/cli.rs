@@ -3,22 +3,26 @@
 //! Results go to stdout, progress and warnings to stderr. Exit codes: 0 aligned, 1 not aligned, 2 bad input;
 //! of `link` 1 where the unit refuses or does not answer.
 
+mod colour;
+mod help;
+
 use std::fs::File;
-use std::io::{self, BufWriter, IsTerminal as _, Read, Write as _};
+use std::io::{self, BufReader, BufWriter, IsTerminal as _, Read, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory as _, Parser, Subcommand};
 use hal_sim::align::{self, Angles, Method, Setup};
 use hal_sim::allan::{self, AllanError};
 use hal_sim::bound::{self, Bound, BoundConfig};
 use hal_sim::bus::UartLine;
 use hal_sim::calibrate::{self, CalibrateError, Stand};
+use hal_sim::config::ConfigProblem;
 use hal_sim::inspect::{self, defmt::Elf, live, live::Tail};
 use hal_sim::link::serve::{Place, Served};
 use hal_sim::link::{self, Link};
-use hal_sim::log::{LogReader, LogRow, LogWarning, LogWriter, UnitStatus, convert};
+use hal_sim::log::{LogError, LogReader, LogWarning, LogWriter, UnitStatus, convert_from};
 use hal_sim::monte_carlo::{self, MethodReport, READY_SD_DEG, Statistics};
 use hal_sim::observability::{self, Attitude, Axis, Segment};
 use hal_sim::replay::{self, Replay};
@@ -29,9 +33,11 @@ use hal_sim::simulate::{self, Moment, Row, RunResult};
 use hal_sim::soak::SoakConfig;
 use hal_sim::unit::Unit;
 use hal_sim::unit_sim::{self, Drift, Line, Typed, UnitResult};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressBarIter, ProgressFinish, ProgressStyle};
 use nav::aligner::Event;
 use nav::rotor::RotorConfig;
+
+use colour::Sense;
 
 /// Not aligned, or a result the unit does not stand by.
 const NOT_ALIGNED: u8 = 1;
@@ -44,11 +50,11 @@ const BAD_INPUT: u8 = 2;
 ///
 /// Without a command: `run`.
 #[derive(Parser)]
-#[command(name = "hal-sim", version, propagate_version = true)]
+#[command(name = "hal-sim", version, propagate_version = true, after_help = help::ALL)]
 struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
-    /// No progress bar
+    /// Results, warnings and errors only: no progress, no events
     #[arg(long, short, global = true)]
     quiet: bool,
 }
@@ -56,26 +62,37 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Simulate one run and report it
+    #[command(after_help = help::RUN)]
     Run(RunArgs),
     /// Simulate many runs and report their statistics
+    #[command(after_help = help::MONTE_CARLO)]
     MonteCarlo(MonteCarloArgs),
     /// Compute the least σ that any filter can have: the covariance of the ideal one along the true path
+    #[command(after_help = help::BOUND)]
     Bound(BoundArgs),
     /// Run the core on a recorded log
+    #[command(after_help = help::REPLAY)]
     Replay(ReplayArgs),
     /// Simulate the whole unit: application, devices, buses and motor in virtual time
+    #[command(after_help = help::UNIT)]
     Unit(UnitArgs),
     /// Run the whole unit for hours while chance breaks it, types at it and shakes its lines
+    #[command(after_help = help::SOAK)]
     Soak(SoakArgs),
     /// Show what a unit sends, live, and send it commands
+    #[command(after_help = help::LINK)]
     Link(LinkArgs),
     /// Tell which errors of a resting, turning IMU its velocity makes observable
+    #[command(after_help = help::OBSERVABILITY)]
     Observability(ObservabilityArgs),
     /// Allan deviation of a log at rest: the noise and bias figures of an IMU
+    #[command(after_help = help::ALLAN)]
     Allan(AllanArgs),
     /// Biases, misalignments and scale factor of the gyros from a log of a rest and a turn
+    #[command(after_help = help::CALIBRATE)]
     Calibrate(CalibrateArgs),
     /// Write a log, also the recording of a unit's serial line, as CSV
+    #[command(after_help = help::CONVERT)]
     Convert {
         /// Log to read
         log: PathBuf,
@@ -83,34 +100,43 @@ enum Command {
         csv: PathBuf,
     },
     /// Reproduce the papers' tables and figures: what is published beside ours
+    #[command(after_help = help::REPRODUCE)]
     Reproduce(ReproduceArgs),
     /// Inspect a unit's log: modes, estimates, faults, resets with their times, as table, CSV and chart
+    #[command(after_help = help::INSPECT)]
     Inspect(InspectArgs),
     /// List the built-in scenarios, or print one as a start for your own
+    #[command(after_help = help::SCENARIOS)]
     Scenarios {
         /// Name of the scenario to print
         name: Option<String>,
+    },
+    /// Print the completions of commands and options for a shell
+    #[command(after_help = help::COMPLETIONS)]
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
     },
 }
 
 /// What is simulated.
 #[derive(Args)]
 struct Simulated {
-    /// Built-in scenario, or a TOML file
-    #[arg(long, short, default_value = "paper-sim")]
+    /// Built-in scenario (`hal-sim scenarios` lists them), or a TOML file
+    #[arg(long, short, value_name = "NAME|FILE", default_value = "paper-sim")]
     scenario: String,
-    /// Seed of every chance
-    #[arg(long, default_value_t = 1)]
+    /// Seed of every chance: the same one gives the same run, to the bit
+    #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Length of a run, s, instead of the scenario's; of `unit`, from the beginning of its alignment
-    #[arg(long, visible_alias = "duration", value_name = "S")]
+    /// Length of a run, s (default: the scenario's); of `unit`, from the beginning of its alignment
+    #[arg(long, visible_alias = "duration", value_name = "S", allow_negative_numbers = true)]
     seconds: Option<f64>,
 }
 
 /// What the unit is told of its base.
 #[derive(Args)]
 struct Base {
-    /// The base is fixed to Earth: measure the z gyro by the encoder, 1σ of an angle read in arcsec
+    /// The base is fixed to Earth: measure the z gyro by the encoder, 1σ of an angle read, arcsec (without a number: 10)
     #[arg(long, value_name = "ARCSEC", num_args = 0..=1, require_equals = true, default_missing_value = "10", value_parser = arcsec)]
     encoder_constraint: Option<f64>,
 }
@@ -150,7 +176,7 @@ struct MonteCarloArgs {
     #[command(flatten)]
     base: Base,
     /// Number of runs
-    #[arg(long, short = 'n', default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    #[arg(long, short = 'n', value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     runs: u64,
     /// Fine filters, each on the same runs; `fine` in the JSON is the first
     #[arg(long, value_enum, value_delimiter = ',', default_value = "robust")]
@@ -203,7 +229,7 @@ struct UnitArgs {
     /// NMEA 0183; until broken off, unless --seconds is given
     #[arg(long, value_name = "WHERE", conflicts_with = "json")]
     serve: Option<Place>,
-    /// Seconds of the unit that pass in one second
+    /// Seconds of the unit that pass in one second, 0.01 to 1000
     #[arg(long, value_name = "N", default_value_t = 1.0, requires = "serve", value_parser = speed)]
     speed: f64,
     /// Print the result as JSON, and the log to stderr
@@ -226,14 +252,19 @@ struct LinkArgs {
     #[arg(long, value_name = "LINE")]
     send: Vec<String>,
     /// How long an answer may take, s
-    #[arg(long, value_name = "S", default_value_t = 2.0, requires = "send", value_parser = seconds)]
+    #[arg(long, value_name = "S", default_value_t = 2.0, requires = "send", allow_negative_numbers = true, value_parser = seconds)]
     timeout: f64,
     /// Write what comes from the unit, byte by byte
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
     /// End after so long, s (default: when broken off)
-    #[arg(long, value_name = "S", conflicts_with = "send", value_parser = seconds)]
+    #[arg(long, value_name = "S", conflicts_with = "send", allow_negative_numbers = true, value_parser = seconds)]
     seconds: Option<f64>,
+}
+
+fn hours(text: &str) -> Result<f64, String> {
+    let hours = text.parse().ok().filter(|hours| (0.1..=10_000.0).contains(hours));
+    hours.ok_or_else(|| "expected hours from 0.1 to 10000".to_owned())
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -283,7 +314,7 @@ struct ObservabilityArgs {
     #[arg(long, value_name = "DPS", default_value_t = 10.0, allow_negative_numbers = true)]
     rate_dps: f64,
     /// Time about each axis, s; matters where there are several
-    #[arg(long, value_name = "S", default_value_t = 36.0)]
+    #[arg(long, value_name = "S", default_value_t = 36.0, allow_negative_numbers = true, value_parser = seconds)]
     seconds: f64,
     /// Geodetic latitude, degrees
     #[arg(long, value_name = "L", default_value_t = 40.0, allow_negative_numbers = true)]
@@ -328,7 +359,7 @@ struct CalibrateArgs {
     #[arg(long, value_name = "H", allow_negative_numbers = true, requires = "latitude_deg")]
     heading_deg: Option<f64>,
     /// Least time at rest, s
-    #[arg(long, value_name = "S", default_value_t = 60.0)]
+    #[arg(long, value_name = "S", default_value_t = 60.0, allow_negative_numbers = true, value_parser = seconds)]
     rest_s: f64,
     /// Write the log with its gyros corrected
     #[arg(long, value_name = "FILE")]
@@ -341,10 +372,10 @@ struct CalibrateArgs {
 #[derive(Args)]
 struct SoakArgs {
     /// Virtual time, h
-    #[arg(long, value_name = "H", default_value_t = 24.0)]
+    #[arg(long, value_name = "H", default_value_t = 24.0, allow_negative_numbers = true, value_parser = hours)]
     hours: f64,
-    /// Seed of every chance
-    #[arg(long, default_value_t = 1)]
+    /// Seed of every chance: the same one gives the same run, to the bit
+    #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// Print the report as JSON
     #[arg(long)]
@@ -359,11 +390,16 @@ struct ReproduceArgs {
     /// Everything
     #[arg(long)]
     all: bool,
-    /// Seed of every chance
-    #[arg(long, default_value_t = 1)]
+    /// Seed of every chance: the same one gives the same run, to the bit
+    #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Folder for plots and curves
-    #[arg(long, value_name = "DIR", default_value = "report/reproduce")]
+    /// Folder for the page, plots and curves
+    #[arg(
+        long,
+        visible_alias = "report",
+        value_name = "DIR",
+        default_value = "report/reproduce"
+    )]
     out: PathBuf,
     /// Print the results as JSON
     #[arg(long)]
@@ -408,15 +444,16 @@ pub(crate) fn main() -> ExitCode {
         Command::Soak(args) => soak(&args, cli.quiet),
         Command::Link(args) => talk(&args),
         Command::Observability(args) => observe(&args),
-        Command::Allan(args) => allan(&args),
-        Command::Calibrate(args) => calibrate(&args),
+        Command::Allan(args) => allan(&args, cli.quiet),
+        Command::Calibrate(args) => calibrate(&args, cli.quiet),
         Command::Convert { log, csv } => convert_log(&log, &csv, cli.quiet),
         Command::Reproduce(args) => reproduce(&args, cli.quiet),
         Command::Inspect(args) => inspect(&args),
         Command::Scenarios { name } => scenarios(name.as_deref()),
+        Command::Completions { shell } => completions(shell),
     };
     done.unwrap_or_else(|message| {
-        eprintln!("error: {message}");
+        eprintln!("{} {message}", colour::said("error:", Sense::Bad));
         ExitCode::from(BAD_INPUT)
     })
 }
@@ -425,6 +462,16 @@ type Done = Result<ExitCode, String>;
 
 fn words(error: impl core::fmt::Display) -> String {
     error.to_string()
+}
+
+fn warn(what: &str) {
+    eprintln!("{} {what}", colour::said("warning:", Sense::Warning));
+}
+
+/// How it ended, as the first word of a table.
+fn ending(state: &str) -> String {
+    let sense = if is_aligned(state) { Sense::Good } else { Sense::Bad };
+    colour::result(state, sense)
 }
 
 /// Writes to stdout; a reader that has gone away is not an error of ours.
@@ -438,6 +485,16 @@ fn print(text: &str) -> Result<(), String> {
 fn print_json(value: &impl serde::Serialize) -> Result<(), String> {
     let text = serde_json::to_string_pretty(value).map_err(words)?;
     print(&format!("{text}\n"))
+}
+
+/// Makes the folder of a report, before anything is computed for it.
+fn folder(dir: &Path) -> Result<(), String> {
+    std::fs::create_dir_all(dir).map_err(|e| {
+        format!(
+            "cannot make the folder {}: {e}: name another with --report DIR",
+            dir.display()
+        )
+    })
 }
 
 /// The command as it was given, for a shell.
@@ -457,12 +514,16 @@ fn command_line() -> String {
 
 fn scenario(simulated: &Simulated) -> Result<Scenario, String> {
     let name = simulated.scenario.as_str();
-    let mut scenario = if Scenario::builtin_names().any(|builtin| builtin == name) || !Path::new(name).exists() {
-        Scenario::builtin(name)
+    let builtin = Scenario::builtin_names().any(|builtin| builtin == name);
+    let file = Path::new(name);
+    let mut scenario = if !builtin && (file.exists() || file.extension().is_some_and(|e| e == "toml")) {
+        Scenario::load(file).map_err(|e| match e.problem {
+            ConfigProblem::Read(_) => format!("{e}; `hal-sim scenarios paper-sim > {name}` writes one to begin with"),
+            _ => e.to_string(),
+        })
     } else {
-        Scenario::load(Path::new(name))
-    }
-    .map_err(words)?;
+        Scenario::builtin(name).map_err(words)
+    }?;
     if let Some(seconds) = simulated.seconds {
         scenario.run.duration_s = seconds;
         scenario.validate().map_err(|e| format!("--seconds: {e}"))?;
@@ -482,9 +543,16 @@ fn bar(length: u64, unit: &str, quiet: bool) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();
     }
-    let style = ProgressStyle::with_template(&format!("{{bar:40}} {{pos}}/{{len}} {unit}, {{eta}} left"))
+    let count = match unit {
+        "bytes" => "{bytes} of {total_bytes}".to_owned(),
+        unit => format!("{{pos}}/{{len}} {unit}"),
+    };
+    let style = ProgressStyle::with_template(&format!("{{bar:40}} {count}, {{eta}} left"))
         .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(length).with_style(style)
+    // Gone also where an error ends the work.
+    ProgressBar::new(length)
+        .with_style(style)
+        .with_finish(ProgressFinish::AndClear)
 }
 
 /// Prints what happens in a run, and keeps what its report needs.
@@ -533,11 +601,14 @@ fn told(bar: &ProgressBar, quiet: bool, t: f64, event: &str) {
 
 fn run(args: &RunArgs, quiet: bool) -> Done {
     let scenario = scenario_on(&args.base, &args.simulated)?;
+    let dir = args
+        .report
+        .join(format!("{}-seed{}", scenario.name, args.simulated.seed));
+    args.log.as_deref().map_or(Ok(()), has_folder)?;
+    folder(&dir)?;
     let log = match &args.log {
         None => None,
-        Some(path) => {
-            Some(LogWriter::create(path, false).map_err(|e| format!("cannot write {}: {e}", path.display()))?)
-        }
+        Some(path) => Some(LogWriter::create(path, false).map_err(|e| cannot_write(path, &e))?),
     };
     if !quiet {
         eprintln!(
@@ -558,11 +629,8 @@ fn run(args: &RunArgs, quiet: bool) -> Done {
     observer.bar.finish_and_clear();
     if let (Some(path), Some(log)) = (&args.log, observer.log) {
         let finished = observer.log_error.map_or_else(|| log.finish().map(drop), Err);
-        finished.map_err(|e| format!("cannot write {}: {e}", path.display()))?;
+        finished.map_err(|e| cannot_write(path, &e))?;
     }
-    let dir = args
-        .report
-        .join(format!("{}-seed{}", scenario.name, args.simulated.seed));
     let command = command_line();
     let origin = Origin {
         scenario: &scenario,
@@ -578,8 +646,12 @@ fn run(args: &RunArgs, quiet: bool) -> Done {
     Ok(exit(result.state))
 }
 
+fn is_aligned(state: &str) -> bool {
+    matches!(state, "aligned" | "navigating")
+}
+
 fn exit(state: &str) -> ExitCode {
-    if matches!(state, "aligned" | "navigating") {
+    if is_aligned(state) {
         ExitCode::SUCCESS
     } else {
         ExitCode::from(NOT_ALIGNED)
@@ -615,11 +687,11 @@ fn attitude_table(truth: &Angles, estimate: &Angles, error: &Angles, sd: &Angles
 /// The closing table of a run.
 fn run_table(result: &RunResult) -> String {
     let mut text = match (result.aligned_at_s, &result.reason) {
-        (Some(t), None) => format!("{} since {t:.1} s ({})\n", result.state, result.method.name()),
+        (Some(t), None) => format!("{} since {t:.1} s ({})\n", ending(result.state), result.method.name()),
         (_, reason) => {
             format!(
                 "{} ({}): {}\n",
-                result.state,
+                ending(result.state),
                 result.method.name(),
                 reason.as_deref().unwrap_or("no estimate")
             )
@@ -671,10 +743,11 @@ fn monte_carlo(args: &MonteCarloArgs, quiet: bool) -> Done {
     let scenario = scenario_on(&args.base, &args.simulated)?;
     let mut methods = args.method.clone();
     methods.dedup();
+    let dir = args.report.join(format!("{}-monte-carlo", scenario.name));
+    folder(&dir)?;
     let bar = bar(args.runs, "runs", quiet);
     let result = monte_carlo::run(&scenario, args.runs, args.simulated.seed, &methods, || bar.inc(1)).map_err(words)?;
     bar.finish_and_clear();
-    let dir = args.report.join(format!("{}-monte-carlo", scenario.name));
     let command = command_line();
     let origin = Origin {
         scenario: &scenario,
@@ -809,10 +882,11 @@ fn bound(args: &BoundArgs) -> Done {
         velocity_sd: args.velocity_sd,
         ..BoundConfig::default()
     };
-    let result = bound::run(&scenario, args.simulated.seed, &config).map_err(words)?;
     let dir = args
         .out
         .join(format!("{}-bound-seed{}", scenario.name, args.simulated.seed));
+    let result = bound::run(&scenario, args.simulated.seed, &config).map_err(words)?;
+    folder(&dir)?;
     let command = command_line();
     let origin = Origin {
         scenario: &scenario,
@@ -877,20 +951,11 @@ fn bound_table(bound: &Bound) -> String {
 struct ReplayObserver {
     bar: ProgressBar,
     quiet: bool,
-    rows: u64,
     bridged: u64,
     bridged_s: f64,
 }
 
 impl replay::Observer for ReplayObserver {
-    fn row(&mut self, row: &LogRow) {
-        self.rows += 1;
-        if self.rows.is_multiple_of(10_000) {
-            self.bar.set_message(format!("{:.0} s", row.t_s));
-            self.bar.tick();
-        }
-    }
-
     fn event(&mut self, t: f64, event: &Event<f32>) {
         match event {
             // One line for all of them, at the end: a log may have thousands.
@@ -900,7 +965,7 @@ impl replay::Observer for ReplayObserver {
             }
             Event::Restarted(_) => self
                 .bar
-                .suspend(|| eprintln!("warning: at {t:.2} s {}", align::describe(event))),
+                .suspend(|| warn(&format!("at {t:.2} s {}", align::describe(event)))),
             _ => told(&self.bar, self.quiet, t, &align::describe(event)),
         }
     }
@@ -910,12 +975,24 @@ impl replay::Observer for ReplayObserver {
     }
 
     fn warning(&mut self, warning: &LogWarning) {
-        self.bar.suspend(|| eprintln!("warning: {warning}"));
+        self.bar.suspend(|| warn(&warning.to_string()));
     }
 }
 
+/// A log, and a bar that goes on as it is read.
+type OpenLog = LogReader<BufReader<ProgressBarIter<File>>>;
+
+fn open_log(path: &Path, quiet: bool) -> Result<(OpenLog, ProgressBar), String> {
+    let name = path.display().to_string();
+    let opened = File::open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
+    let (length, file) = opened.map_err(|e| LogError::cannot_read(&name, &e).to_string())?;
+    let bar = bar(length, "bytes", quiet);
+    let input = BufReader::with_capacity(1 << 16, bar.wrap_read(file));
+    Ok((LogReader::new(input, &name).map_err(words)?, bar))
+}
+
 fn replay(args: &ReplayArgs, quiet: bool) -> Done {
-    let log = LogReader::open(&args.log).map_err(words)?;
+    let (log, bar) = open_log(&args.log, quiet)?;
     let mut setup = match (log.header(), args.latitude_deg) {
         (Some(header), _) => replay::recorded(header, args.method),
         (None, Some(latitude_deg)) => Setup {
@@ -934,15 +1011,9 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
         setup.unit = Unit::load(path).map_err(words)?;
     }
     setup.encoder_constraint_arcsec = args.base.encoder_constraint;
-    let bar = if quiet {
-        ProgressBar::hidden()
-    } else {
-        ProgressBar::new_spinner()
-    };
     let mut observer = ReplayObserver {
         bar,
         quiet,
-        rows: 0,
         bridged: 0,
         bridged_s: 0.0,
     };
@@ -955,8 +1026,8 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
     let result = replay::replay_from(log, &setup, &mut observer).map_err(words)?;
     observer.bar.finish_and_clear();
     if observer.bridged > 0 {
-        eprintln!(
-            "warning: bridged {} of {:.3} s in all, by the mean of the rates before and after",
+        let gaps = format!(
+            "bridged {} of {:.3} s in all, by the mean of the rates before and after",
             if observer.bridged == 1 {
                 "1 gap".to_owned()
             } else {
@@ -964,6 +1035,7 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
             },
             observer.bridged_s
         );
+        warn(&gaps);
     }
     if args.json {
         print_json(&result)?;
@@ -973,10 +1045,13 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
     Ok(exit(result.state))
 }
 
-fn convert_log(log: &Path, csv: &Path, quiet: bool) -> Done {
-    let (rows, warnings) = convert(log, csv)?;
+fn convert_log(from: &Path, to: &Path, quiet: bool) -> Done {
+    has_folder(to)?;
+    let (reader, bar) = open_log(from, quiet)?;
+    let (rows, warnings) = convert_from(reader, from, to)?;
+    bar.finish_and_clear();
     for warning in warnings {
-        eprintln!("warning: {warning}");
+        warn(&warning.to_string());
     }
     if !quiet {
         eprintln!("{rows} rows");
@@ -985,7 +1060,7 @@ fn convert_log(log: &Path, csv: &Path, quiet: bool) -> Done {
 }
 
 fn replay_table(result: &Replay) -> String {
-    let mut text = format!("{} at {} s", result.state, result.t_s);
+    let mut text = format!("{} at {} s", ending(result.state), result.t_s);
     match &result.reason {
         Some(reason) => text += &format!(": {reason}\n"),
         None => text += "\n",
@@ -1043,6 +1118,18 @@ impl NmeaFile {
 
 fn cannot_write(path: &Path, error: &io::Error) -> String {
     format!("cannot write {}: {error}", path.display())
+}
+
+/// That there is a folder for a file, before anything is computed for it.
+fn has_folder(path: &Path) -> Result<(), String> {
+    match path.parent() {
+        Some(folder) if folder != Path::new("") && !folder.is_dir() => Err(format!(
+            "cannot write {}: there is no folder {}: make it first",
+            path.display(),
+            folder.display()
+        )),
+        _ => Ok(()),
+    }
 }
 
 impl unit_sim::Observer for UnitObserver {
@@ -1110,6 +1197,7 @@ const LONGEST_RUN_S: f64 = 360_000.0;
 
 fn unit(args: &UnitArgs, quiet: bool) -> Done {
     let mut scenario = scenario_on(&args.base, &args.simulated)?;
+    args.nmea.as_deref().map_or(Ok(()), has_folder)?;
     let served = args.serve.as_ref().map(|place| Served::open(place, args.speed));
     let served = served.transpose().map_err(|e| format!("cannot serve: {e}"))?;
     if let Some(served) = &served {
@@ -1189,7 +1277,7 @@ fn unit_table(result: &UnitResult) -> String {
         result.scenario,
         result.seed,
         result.method.name(),
-        result.state,
+        ending(result.state),
         result.t_s,
         time(result.aligning_at_s),
         time(result.aligned_at_s)
@@ -1231,6 +1319,7 @@ fn unit_table(result: &UnitResult) -> String {
 }
 
 fn talk(args: &LinkArgs) -> Done {
+    args.record.as_deref().map_or(Ok(()), has_folder)?;
     let mut open = Link::open(args.port.clone(), args.record.as_deref()).map_err(words)?;
     let done = if args.send.is_empty() {
         link::watch(&mut open, args.seconds.map(Duration::from_secs_f64))
@@ -1240,7 +1329,7 @@ fn talk(args: &LinkArgs) -> Done {
     match done {
         Ok(()) => Ok(ExitCode::SUCCESS),
         Err(e) if e.is_answer() => {
-            eprintln!("error: {e}");
+            eprintln!("{} {e}", colour::said("error:", Sense::Bad));
             Ok(ExitCode::from(REFUSED))
         }
         Err(e) => Err(e.to_string()),
@@ -1304,13 +1393,16 @@ fn observability_table(found: &observability::Report) -> String {
     text
 }
 
-fn allan(args: &AllanArgs) -> Done {
+fn allan(args: &AllanArgs, quiet: bool) -> Done {
+    args.unit.as_deref().map_or(Ok(()), has_folder)?;
     let named = |e| format!("{}: {e}", args.log.display());
-    let report = allan::of_log(&args.log).map_err(|e| match e {
+    let (log, bar) = open_log(&args.log, quiet)?;
+    let report = allan::of_reader(log).map_err(|e| match e {
         // A log's own errors begin with its name.
         AllanError::Log(e) => e.to_string(),
         other => named(other),
     })?;
+    bar.finish_and_clear();
     let cannot = |path: &Path, e: &dyn core::fmt::Display| format!("cannot write {}: {e}", path.display());
     if let Some(folder) = args.plot.parent() {
         std::fs::create_dir_all(folder).map_err(|e| cannot(folder, &e))?;
@@ -1328,7 +1420,8 @@ fn allan(args: &AllanArgs) -> Done {
     Ok(ExitCode::SUCCESS)
 }
 
-fn calibrate(args: &CalibrateArgs) -> Done {
+fn calibrate(args: &CalibrateArgs, quiet: bool) -> Done {
+    args.corrected.as_deref().map_or(Ok(()), has_folder)?;
     let unit = args.unit.as_deref().map(Unit::load).transpose().map_err(words)?;
     let setup = calibrate::Setup {
         unit: unit.unwrap_or_default(),
@@ -1345,7 +1438,9 @@ fn calibrate(args: &CalibrateArgs) -> Done {
         CalibrateError::Log(_) | CalibrateError::Write(..) => e.to_string(),
         other => format!("{}: {other}", args.log.display()),
     };
-    let (calibration, report) = calibrate::of_log(&args.log, &setup).map_err(named)?;
+    let (log, bar) = open_log(&args.log, quiet)?;
+    let (calibration, report) = calibrate::of_reader(log, &setup).map_err(named)?;
+    bar.finish_and_clear();
     if let Some(corrected) = &args.corrected {
         calibrate::correct_log(&args.log, corrected, &calibration).map_err(named)?;
     }
@@ -1370,19 +1465,23 @@ fn reproduce(args: &ReproduceArgs, quiet: bool) -> Done {
     for name in &args.names {
         selected.extend(reproduce::select(name).map_err(words)?);
     }
+    folder(&args.out)?;
+    let bar = bar(selected.len() as u64, "done", quiet);
     let mut reports = Vec::new();
     for reproduction in &selected {
         let told = |what: &str| {
             if !quiet {
-                eprintln!("{}: {what}", reproduction.name);
+                bar.suspend(|| eprintln!("{}: {what}", reproduction.name));
             }
         };
         let report = reproduce::run(reproduction, args.seed, Some(&args.out), &told).map_err(words)?;
         if !args.json {
-            print(&format!("{}\n", reproduce::table(&report)))?;
+            bar.suspend(|| print(&format!("{}\n", reproduce::table(&report))))?;
         }
+        bar.inc(1);
         reports.push(report);
     }
+    bar.finish_and_clear();
     reproduce::page(&args.out, &reports, &command_line()).map_err(words)?;
     if args.json {
         print_json(&reports)?;
@@ -1394,6 +1493,7 @@ fn reproduce(args: &ReproduceArgs, quiet: bool) -> Done {
 }
 
 fn inspect(args: &InspectArgs) -> Done {
+    args.csv.iter().chain(&args.svg).try_for_each(|path| has_folder(path))?;
     let elf = args.elf.as_deref().map(Elf::read).transpose().map_err(words)?;
     // A log's own errors do not begin with its name, those of files do.
     let named = |e: inspect::InspectError| match e {
@@ -1439,4 +1539,71 @@ fn scenarios(name: Option<&str>) -> Done {
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn completions(shell: clap_complete::Shell) -> Done {
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut Cli::command(), "hal-sim", &mut script);
+    print(&String::from_utf8_lossy(&script))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Words of a line as a shell takes them, up to what is beside it: two blanks, or where output goes.
+    fn words_of(line: &str) -> Vec<String> {
+        let line = line
+            .split("  ")
+            .next()
+            .unwrap_or(line)
+            .split('>')
+            .next()
+            .unwrap_or(line);
+        let quoted = line.split('"').enumerate();
+        quoted
+            .flat_map(|(k, part)| match k % 2 {
+                0 => part.split_whitespace().map(str::to_owned).collect::<Vec<_>>(),
+                _ => vec![part.to_owned()],
+            })
+            .collect()
+    }
+
+    #[test]
+    fn every_command_says_what_comes_out_with_examples_that_can_be_typed() {
+        Cli::command().debug_assert();
+        for command in Cli::command().get_subcommands() {
+            let name = command.get_name();
+            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let (out, examples) = help.split_once("\n\nExamples:\n").expect(name);
+            assert!(out.contains("Prints ") || out.contains("Writes "), "{name}: {out}");
+            for line in examples.lines() {
+                let words = words_of(line.trim_start());
+                assert_eq!(words[..2], ["hal-sim", name], "{line}");
+                assert!(Cli::try_parse_from(&words).is_ok(), "{line}");
+            }
+        }
+        for line in help::ALL
+            .lines()
+            .filter(|line| line.starts_with("  hal-sim") && !line.contains("COMMAND"))
+        {
+            assert!(Cli::try_parse_from(words_of(line.trim_start())).is_ok(), "{line}");
+        }
+    }
+
+    #[test]
+    fn every_number_has_its_unit_or_is_a_count() {
+        let counts = ["runs", "seed", "speed"];
+        let units = [", s", ", h", "m/s", "°/s", "m/s²", "degrees", "arcsec", ", m "];
+        for command in Cli::command().get_subcommands() {
+            for option in command.get_arguments() {
+                let help = option.get_help().map(ToString::to_string).unwrap_or_default();
+                let (name, negative) = (option.get_id().as_str(), option.is_allow_negative_numbers_set());
+                assert!(!help.is_empty(), "{name}");
+                let told = units.iter().any(|unit| help.contains(unit));
+                assert!(!negative || counts.contains(&name) || told, "{name}: {help}");
+            }
+        }
+    }
 }

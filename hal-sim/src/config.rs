@@ -33,7 +33,10 @@ impl core::fmt::Display for ConfigProblem {
             Self::Syntax(what) => write!(f, "not valid TOML: {what}"),
             Self::UnknownKey(known) => write!(f, "unknown key; known here: {known}"),
             Self::WrongType(what) | Self::Value(what) => f.write_str(what),
-            Self::UnknownScenario(names) => write!(f, "no built-in scenario of this name; there are {names}"),
+            Self::UnknownScenario(names) => write!(
+                f,
+                "no built-in scenario of this name; there are {names}, or a TOML file of your own"
+            ),
         }
     }
 }

@@ -463,16 +463,19 @@ impl LogReader<BufReader<File>> {
         let name = path.display().to_string();
         match File::open(path) {
             Ok(file) => Self::new(BufReader::with_capacity(1 << 16, file), &name),
-            Err(error) => Err(cannot_read(&name, &error)),
+            Err(error) => Err(LogError::cannot_read(&name, &error)),
         }
     }
 }
 
-fn cannot_read(file: &str, error: &io::Error) -> LogError {
-    LogError {
-        file: file.to_owned(),
-        at: None,
-        problem: LogProblem::Read(error.to_string()),
+impl LogError {
+    /// A file that the system does not give.
+    pub fn cannot_read(file: &str, error: &io::Error) -> Self {
+        Self {
+            file: file.to_owned(),
+            at: None,
+            problem: LogProblem::Read(error.to_string()),
+        }
     }
 }
 
@@ -484,7 +487,7 @@ impl<R: BufRead> LogReader<R> {
     pub fn new(mut input: R, file_name: &str) -> Result<Self, LogError> {
         let mut start = Vec::with_capacity(LOOK);
         let looked = (&mut input).take(LOOK as u64).read_to_end(&mut start);
-        looked.map_err(|error| cannot_read(file_name, &error))?;
+        looked.map_err(|error| LogError::cannot_read(file_name, &error))?;
         let binary = binary::is_recording(&start);
         let whole = Cursor::new(start).chain(input);
         Ok(Self(if binary {
@@ -559,6 +562,18 @@ impl<R: BufRead> Iterator for LogReader<R> {
 /// # Errors
 /// Those of the log, and of the file that is written, in one line.
 pub fn convert(from: &Path, to: &Path) -> Result<(u64, Vec<LogWarning>), String> {
+    convert_from(LogReader::open(from).map_err(|e| e.to_string())?, from, to)
+}
+
+/// The same for the log `from` that is open already.
+///
+/// # Errors
+/// As of [`convert`].
+pub fn convert_from<R: BufRead>(
+    mut reader: LogReader<R>,
+    from: &Path,
+    to: &Path,
+) -> Result<(u64, Vec<LogWarning>), String> {
     let failed = |error: io::Error| format!("cannot write {}: {error}", to.display());
     // Created before it is read, it would be empty.
     if from
@@ -567,7 +582,6 @@ pub fn convert(from: &Path, to: &Path) -> Result<(u64, Vec<LogWarning>), String>
     {
         return Err(format!("{}: the log itself cannot be written", to.display()));
     }
-    let mut reader = LogReader::open(from).map_err(|e| e.to_string())?;
     let mut out: Option<LogWriter<_>> = None;
     let mut rows = 0;
     for row in &mut reader {

@@ -582,7 +582,7 @@ mod tests {
         assert_eq!(
             Scenario::builtin("paper-simm").unwrap_err().to_string(),
             "paper-simm: no built-in scenario of this name; there are static, paper-sim, paper-turntable, moored, \
-             gyrocompass-standard, bias-step, lively-floor"
+             gyrocompass-standard, bias-step, lively-floor, or a TOML file of your own"
         );
     }
 

@@ -316,3 +316,60 @@ fn the_encoder_constraint_helps_where_it_is_true() {
     let [off, on] = [run("paper-sim", &[]), run("paper-sim", &["--encoder-constraint=10"])];
     assert_eq!(off.pointer("/final"), on.pointer("/final"));
 }
+
+#[test]
+fn mistakes_are_told_before_the_work_with_what_to_do_next() {
+    let dir = TempDir::new().unwrap();
+    fs::write(dir.path().join("file"), "").unwrap();
+    fs::write(dir.path().join("typo.toml"), "[imu]\ngyro_bias_sd = 3\n").unwrap();
+    for (arguments, next) in [
+        (&["run", "--scenario", "papersim"][..], "there are static, paper-sim,"),
+        (
+            &["run", "--scenario", "mine.toml"],
+            "`hal-sim scenarios paper-sim > mine.toml` writes one",
+        ),
+        (&["run", "--scenario", "typo.toml"], "known here: `gyro_bias_sd_deg_h`"),
+        (&["run", "--seconds", "-5"], "allowed are 0.1 to 360000"),
+        (&["run", "--report", "file"], "name another with --report DIR"),
+        (&["monte-carlo", "--report", "file"], "name another with --report DIR"),
+        (
+            &["reproduce", "--all", "--out", "file"],
+            "name another with --report DIR",
+        ),
+        (
+            &["run", "--log", "none/a.csv"],
+            "there is no folder none: make it first",
+        ),
+        (
+            &["convert", "file", "none/a.csv"],
+            "there is no folder none: make it first",
+        ),
+        (&["replay", "none.csv", "--latitude-deg", "40"], "none.csv: cannot read"),
+        (&["soak", "--hours", "-1"], "expected hours from 0.1 to 10000"),
+        (&["observability", "--seconds", "-1"], "expected seconds above 0"),
+        (&["reproduce", "du18"], "there is du16-table1"),
+        (&["allan", "file"], "a log starts with a header"),
+    ] {
+        let message = error_line(&hal_sim(dir.path(), arguments));
+        assert!(message.contains(next), "{arguments:?}: {message}");
+    }
+    assert!(!dir.path().join("report").exists(), "nothing is written for a mistake");
+}
+
+#[test]
+fn completions_are_a_script_that_the_shell_reads() {
+    let dir = TempDir::new().unwrap();
+    let output = hal_sim(dir.path(), &["completions", "bash"]);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let script = String::from_utf8(output.stdout).unwrap();
+    for word in ["monte-carlo", "--scenario", "complete -F _hal"] {
+        assert!(script.contains(word), "{word}");
+    }
+    fs::write(dir.path().join("hal-sim.bash"), script).unwrap();
+    let read = Command::new("bash")
+        .current_dir(dir.path())
+        .args(["-n", "hal-sim.bash"])
+        .output()
+        .unwrap();
+    assert!(read.status.success(), "{read:?}");
+}

@@ -26,7 +26,7 @@ use nav::increment::Sample;
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 
-use super::{Gap, LIMITS, LogError, LogProblem, LogRow, LogWarning, Place, WarningKind, cannot_read};
+use super::{Gap, LIMITS, LogError, LogProblem, LogRow, LogWarning, Place, WarningKind};
 
 /// Longest sentence of NMEA 0183, bytes.
 const SENTENCE: usize = 82;
@@ -276,7 +276,7 @@ impl<R: BufRead> Scanner<R> {
             let chunk = match self.input.fill_buf() {
                 Ok(chunk) => chunk,
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-                Err(error) => return Err(cannot_read(&self.file, &error)),
+                Err(error) => return Err(LogError::cannot_read(&self.file, &error)),
             };
             let taken = chunk.len();
             self.ended = taken == 0;
