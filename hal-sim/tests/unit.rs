@@ -1,9 +1,12 @@
 //! The whole unit in virtual time: alignment, determinism, lost samples, faults.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::collections::BTreeMap;
+
 use app::blackbox::CRASHES;
 use app::fault::Task;
 use app::hal::ResetCause;
+use app::settings::Source;
 use hal_sim::align::Method;
 use hal_sim::bus::UartLine;
 use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
@@ -179,6 +182,8 @@ fn every_fault_is_found_in_time_and_the_motor_is_off() {
 struct Said {
     lines: Vec<String>,
     answers: Vec<String>,
+    /// The last sentence of each kind, its fields.
+    sentences: BTreeMap<String, Vec<String>>,
 }
 
 impl Observer for Said {
@@ -192,6 +197,8 @@ impl Observer for Said {
             self.answers
                 .push(answer.split('*').next().unwrap_or_default().to_owned());
         }
+        let fields: Vec<_> = text.split(['*', ',']).map(str::to_owned).collect();
+        self.sentences.insert(fields[0].clone(), fields);
     }
 }
 
@@ -226,6 +233,20 @@ impl Unit {
         self.session.send(format!("{line}\r\n").as_bytes());
         self.run(1.0);
         core::mem::take(&mut self.said.answers)
+    }
+
+    /// A receiver says it every second for so long.
+    fn hears(&mut self, body: &str, seconds: u32) {
+        let sum = body.bytes().fold(0, |sum, byte| sum ^ byte);
+        for _ in 0..seconds {
+            self.session.send(format!("${body}*{sum:02X}\r\n").as_bytes());
+            self.run(1.0);
+        }
+    }
+
+    /// Speed by the unit's VTG, km/h.
+    fn speed(&self) -> f64 {
+        self.said.sentences["$HEVTG"][7].parse().unwrap()
     }
 
     fn mode(&self) -> (&'static str, Option<&'static str>) {
@@ -333,4 +354,50 @@ fn a_boot_loop_ends_with_the_motor_off() {
         unit.run(100.0);
         assert_eq!(unit.mode(), ("aligned", None), "{task:?}");
     }
+}
+
+/// What a receiver of satellite navigation is good for: it says whether the base stands, and where; the navigator goes by it.
+/// What it does not stand by changes nothing.
+#[test]
+fn a_receiver_says_whether_the_base_stands_and_where() {
+    let mut unit = Unit::new(5);
+    unit.run(80.0);
+    assert_eq!(unit.mode().0, "aligned");
+    // Without a fix, by its own dead reckoning, once by mistake.
+    unit.hears("GPVTG,90.0,T,,M,10.0,N,18.5,K,N", 5);
+    unit.hears("GPRMC,120000,V,4000.6,N,00500.0,W,10.0,90.0,010126,,,N", 5);
+    unit.hears("GPVTG,90.0,T,,M,10.0,N,18.5,K,A", 1);
+    unit.hears("GPVTG,,T,,M,0.1,N,0.2,K,A", 5);
+    assert_eq!(unit.mode().0, "aligned");
+    assert_eq!(unit.session.result().settings.last_position.source, Source::Default);
+
+    // Under way: there is nothing to align, however long it lasts.
+    unit.hears("GPVTG,90.0,T,,M,10.0,N,18.5,K,A", 2);
+    assert_eq!(unit.mode().0, "coarse");
+    unit.hears("GPVTG,90.0,T,,M,10.0,N,18.5,K,A", 100);
+    assert_eq!(unit.mode().0, "coarse");
+    assert_eq!(unit.said.sentences["$HETHS"][1..3], ["", "V"]);
+    let told = |line: &&String| line.as_str() == "starting anew once the base stands: it makes 5.1 m/s";
+    assert_eq!(unit.said.lines.iter().filter(told).count(), 1);
+    unit.hears("GPRMC,120000,A,4000.6,N,00500.0,W,0.0,,010126,,,A", 65);
+    assert_eq!(unit.mode().0, "aligned");
+    // Where it was is known after power-on.
+    unit.session.reset(ResetCause::PowerOn, &mut unit.said).unwrap();
+    unit.run(90.0);
+    let place = unit.session.result().settings.last_position;
+    assert_eq!(place.source, Source::Gnss);
+    assert!((place.latitude.to_degrees() - 40.01).abs() < 1e-5 && (place.longitude.to_degrees() + 5.0).abs() < 1e-5);
+
+    // Dead reckoning drifts; with the receiver's word it does not.
+    assert_eq!(unit.asked("navigate"), ["ok,navigating"]);
+    unit.run(120.0);
+    let alone = unit.speed();
+    unit.hears("GPRMC,120000,A,4030.0,N,00500.0,W,0.0,,010126,,,A", 20);
+    let aided = unit.speed();
+    println!("speed {alone} and {aided} km/h");
+    assert!(alone > 10.0 * aided && aided < 0.05, "{alone} {aided}");
+    let place = &unit.said.sentences["$HEGLL"];
+    assert!(place[1].starts_with("4030.00"), "{place:?}");
+    let error = unit.session.result().last.unwrap().error.heading_deg;
+    assert!(error.abs() < 2.0, "{error}");
 }

@@ -346,6 +346,7 @@ fn examples() -> Vec<Example> {
         (Kind::AlignsAnew, of(A_::RestartedGap { length: a }), none()),
         (Kind::AlignsAnew, of(A_::RestartedBadSample), none()),
         (Kind::AlignsAnew, of(A_::RestartedDiverged), none()),
+        (Kind::AlignsAnew, of(A_::UnderWay { speed: a }), none()),
         (Kind::Note, Event::GyrosCalibrated(gyros(true)), none()),
         (Kind::Note, Event::GyrosCalibrated(gyros(false)), none()),
         (Kind::Note, Event::NotCalibrated(failure), vec![Box::new(failure)]),
@@ -558,7 +559,8 @@ mod tests {
                 Alignment::RestartedCoarse
                 | Alignment::RestartedGap { .. }
                 | Alignment::RestartedBadSample
-                | Alignment::RestartedDiverged => Told::AlignsAnew,
+                | Alignment::RestartedDiverged
+                | Alignment::UnderWay { .. } => Told::AlignsAnew,
             },
             Event::GyrosCalibrated(_) | Event::NotCalibrated(_) => Told::Note,
             Event::NavigationEnded(_) => Told::AlignsAnew,
@@ -671,6 +673,7 @@ mod tests {
             of(Alignment::RestartedGap { length: x }),
             of(Alignment::RestartedBadSample),
             of(Alignment::RestartedDiverged),
+            of(Alignment::UnderWay { speed: x }),
             Event::Retry { attempt: n as u8 },
             Event::Latched,
             Event::Lost { samples: n, tally },

@@ -1,14 +1,25 @@
 //! The console: [`app::console`].
 
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+
 use app::console::{LONGEST, LineBuffer, LineError, Request, WORDS, parse};
+use app::nmea_in;
 use app::settings::Settings;
 
 use crate::Feed;
 
 /// A line. One that is taken is taken in other letters and with other blanks for the same; a setting that is taken is
-/// what the number says, in its range, and comes back from flash.
+/// what the number says, in its range, and comes back from flash. A sentence that ends in a tilde gets its check sum.
 pub fn line(data: &[u8]) {
     let found = parse(data);
+    if let [b'$', body @ ..] = data {
+        assert_eq!(found, Ok(nmea_in::parse(data).ok().map(Request::Fix)));
+        if let [body @ .., b'~'] = body {
+            let sum = body.iter().fold(0, |sum, byte| sum ^ byte);
+            sentence(&[b"$", body, format!("*{sum:02X}").as_bytes()].concat());
+        }
+        return;
+    }
     let text = |byte: &u8| matches!(byte, b'\t' | b' '..=b'~');
     assert_eq!(found == Err(LineError::Long), data.len() > LONGEST);
     if data.len() > LONGEST {
@@ -41,6 +52,21 @@ pub fn line(data: &[u8]) {
             assert!(data.iter().find(|byte| !blank(byte)).is_none_or(|byte| *byte == b'#'));
         }
         Err(error) => assert!(!error.expected().is_empty()),
+    }
+}
+
+/// A receiver's sentence with a check sum that is right. What is taken is on Earth.
+fn sentence(line: &[u8]) {
+    let Ok(nmea_in::Fix { place, motion }) = nmea_in::parse(line) else {
+        return;
+    };
+    let within = |x: f32, most: f64| f64::from(x).abs() <= most * (1.0 + f64::from(f32::EPSILON));
+    assert!(place.is_none_or(|place| within(place.latitude, FRAC_PI_2) && within(place.longitude, PI)));
+    if let Some(motion) = motion {
+        assert!(motion.speed >= 0.0 && within(motion.speed, 515.0));
+        assert!(motion.course.is_none_or(|course| course >= 0.0 && within(course, TAU)));
+        let fast = |[north, east]: [f32; 2]| north.hypot(east) <= motion.speed * 1.000_01;
+        assert!(motion.north_east().is_none_or(fast));
     }
 }
 
@@ -80,13 +106,18 @@ pub fn bytes(data: &[u8]) {
         let found = buffer.push(*byte);
         match byte {
             b'\r' | b'\n' => {
-                let expected = refused.take().map_or_else(|| parse(&line), Err).transpose();
+                let sentence = line.first() == Some(&b'$');
+                let expected = match refused.take() {
+                    Some(_) if sentence => None,
+                    Some(error) => Some(Err(error)),
+                    None => parse(&line).transpose(),
+                };
                 assert_eq!(found, expected);
                 line.clear();
                 continue;
             }
             0x08 | 0x7F => drop(line.pop()),
-            b'\t' | b' '..=b'~' if line.len() < LONGEST => line.push(*byte),
+            b'\t' | b' '..=b'~' if line.len() < nmea_in::LONGEST => line.push(*byte),
             b'\t' | b' '..=b'~' => refused = refused.or(Some(LineError::Long)),
             _ => refused = refused.or(Some(LineError::Garbled)),
         }

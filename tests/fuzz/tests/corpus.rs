@@ -41,6 +41,7 @@ fn seeds() -> Vec<Seed> {
         .map(|word| match word.name {
             "set" => "Set latitude -40.125".to_owned(),
             "log" => "log debug".to_owned(),
+            "record" => "record on".to_owned(),
             name => name.to_owned(),
         })
         .collect();
@@ -49,6 +50,16 @@ fn seeds() -> Vec<Seed> {
         seed("console_line", &name, line.clone().into_bytes());
     }
     seed("console_line", "remark", b" # nothing".to_vec());
+    for sentence in [
+        "$GPRMC,120000.00,A,4000.6000,N,00500.0000,W,0.5,90.1,010126,,,A,V~",
+        "$GPVTG,90.0,T,,M,10.0,N,18.5,K,A~",
+    ] {
+        seed(
+            "console_line",
+            &sentence[3..6].to_lowercase(),
+            sentence.as_bytes().to_vec(),
+        );
+    }
     seed(
         "console_bytes",
         "all",

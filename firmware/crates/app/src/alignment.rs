@@ -21,6 +21,7 @@ use nav::rotor::RotorConfig;
 use crate::fault::Task;
 use crate::log::{Alignment, CalibrationFailure, GyrosCalibrated, NavigationEnd};
 use crate::mode::{Input, Job};
+use crate::nmea_in::Fix;
 use crate::record::{Taken, Tap};
 use crate::selftest::{Inspection, InspectionConfig};
 use crate::settings::{Imu, Mounting, Position as Place, Thermal};
@@ -28,6 +29,12 @@ use crate::shared::{Navigation, Shared, TimedSample};
 
 /// The task checks in at least this often when no samples come.
 const IDLE: Duration = Duration::from_millis(10);
+/// Faster than this, m/s, a base is under way: receivers that stand say up to 0.3.
+const UNDER_WAY: f32 = 0.5;
+/// So often in a row a receiver says so before it is believed.
+const SURE: u8 = 2;
+/// What a receiver has said holds for so long, µs.
+const SAID_US: u64 = 3_000_000;
 /// The rotor stands once it has not moved by more than a quarter of what a rest allows for so long, s.
 const STANDING: f32 = 1.0;
 
@@ -120,6 +127,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
     let mut correction = Correction::default();
     let mut mounting = Mounting::default();
     let mut tap = Tap::new(config.noise, config.schedule, shared.settings().position());
+    let mut ground = Ground::default();
     let mut since_published = 0;
     loop {
         shared.check_in(Task::Alignment);
@@ -139,13 +147,21 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
             Either3::Second(sample) => sample,
             Either3::Third(()) => continue,
         };
-        let taken = work.takes(&sample);
+        while let Ok(fix) = shared.fixes.try_receive() {
+            if let Some(input) = heed(&mut work, &mut *aligner, &mut tap, &mut ground, &fix, sample.t_us) {
+                shared.tell(input);
+            }
+        }
+        let taken = match work.takes(&sample) {
+            Taken::Aligner if ground.moves(sample.t_us) => Taken::No,
+            taken => taken,
+        };
         let mut sample = sample;
         if taken != Taken::No {
             sample.sample = correction.of(&sample);
         }
         tap.take(shared, &sample, taken);
-        if let Some(input) = work_on(&mut work, aligner, &sample, shared) {
+        if let Some(input) = work_on(&mut work, aligner, &sample, taken, shared) {
             if !matches!(input, Input::Alignment(_) | Input::Rested) {
                 work = Work::Idle;
             }
@@ -224,6 +240,60 @@ fn begin<M: RawMutex>(
     }
 }
 
+/// What a receiver of satellite navigation has said of the ground.
+#[derive(Default)]
+struct Ground {
+    /// How often in a row the base was under way.
+    moving: u8,
+    /// When that was said last, µs.
+    said_us: u64,
+}
+
+impl Ground {
+    /// Whether the base has just begun to be under way.
+    fn hear(&mut self, speed: f32, t_us: u64) -> bool {
+        let was = self.moves(t_us);
+        self.moving = if speed > UNDER_WAY {
+            self.moving.saturating_add(1)
+        } else {
+            0
+        };
+        self.said_us = t_us;
+        self.moves(t_us) && !was
+    }
+
+    fn moves(&self, t_us: u64) -> bool {
+        self.moving >= SURE && t_us.saturating_sub(self.said_us) <= SAID_US
+    }
+}
+
+/// What a receiver says is taken by the navigator; an alignment starts anew where the base is under way.
+fn heed(
+    work: &mut Work,
+    aligner: &mut dyn Align,
+    tap: &mut Tap,
+    ground: &mut Ground,
+    fix: &Fix,
+    t_us: u64,
+) -> Option<Input> {
+    let motion = fix.motion?;
+    let begins = ground.hear(motion.speed, t_us);
+    match work {
+        Work::Align if begins => {
+            aligner.start_anew();
+            tap.anew(None);
+            Some(Input::Alignment(Alignment::UnderWay { speed: motion.speed }))
+        }
+        Work::Navigate(navigator) => {
+            let place = fix.place.map(|place| [place.latitude, place.longitude]);
+            // A place that cannot be navigated from, near a pole, is not taken; what is known goes on.
+            let _ = motion.north_east().map(|velocity| navigator.fix(velocity, place));
+            None
+        }
+        _ => None,
+    }
+}
+
 /// What is known of the gyros before they are aligned.
 #[derive(Default)]
 struct Correction {
@@ -251,12 +321,14 @@ fn work_on<M: RawMutex>(
     work: &mut Work,
     aligner: &mut dyn Align,
     sample: &TimedSample,
+    taken: Taken,
     shared: &Shared<M>,
 ) -> Option<Input> {
     let increments = &sample.sample;
     match work {
         Work::Idle => None,
         Work::Inspect(inspection) => inspection.push(increments).map(Input::Inspected),
+        Work::Align if taken == Taken::No => None,
         Work::Align => {
             let event = aligner.step(increments, sample.alpha?)?;
             Some(Input::Alignment(Alignment::from(&event)))

@@ -20,7 +20,8 @@
 //! ```
 //!
 //! Upper and lower case are the same, blanks more or less as well; an empty line, or one that begins with `#`, is
-//! nothing. [`LineBuffer`] makes lines of bytes: they end with CR or LF, backspace takes one back, and a line longer
+//! nothing. A line that begins with `$` is a sentence of a receiver, see [`nmea_in`]: none is answered, and what is of no
+//! use is left. [`LineBuffer`] makes lines of bytes: they end with CR or LF, backspace takes one back, and a line longer
 //! than [`LONGEST`] or with a byte that is no text is refused as a whole, up to its end, so that no part of it is
 //! taken for a command.
 //!
@@ -29,7 +30,7 @@
 use core::fmt;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
-use embassy_time::Timer;
+use embassy_time::{Instant, Timer};
 use embedded_io_async::Read;
 use embedded_storage_async::nor_flash::NorFlash;
 use frames::units::DEG;
@@ -39,12 +40,17 @@ use crate::blackbox::{self, Memory};
 use crate::command::{Command, ModeName};
 use crate::log::Level;
 use crate::nmea::{self, Line, Sentence};
+use crate::nmea_in::{self, Fix, Place};
 use crate::output::Port;
-use crate::settings::{Group, Invalid, Settings, Source, Store, StoreError};
+use crate::settings::{Group, Invalid, Position, Settings, Source, Store, StoreError};
 use crate::shared::Shared;
 
-/// Longest line without its end, bytes.
+/// Longest command without its end, bytes.
 pub const LONGEST: usize = 64;
+/// Seconds from one position that is kept to the next: the flash bears it for 38 years.
+const KEEP_S: u64 = 60;
+/// Closer than this to the one that is kept, rad, a position is the same: 0.01°, 1.1 km.
+const KEEP_AWAY: f32 = (0.01 * DEG) as f32;
 
 /// What a line asks for.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,6 +75,8 @@ pub enum Request {
     Log(Level),
     /// Whether every sample is to go out.
     Record(bool),
+    /// Nothing: a receiver says where it is.
+    Fix(Fix),
     /// Something for the modes.
     Unit(Command),
 }
@@ -349,6 +357,9 @@ static SETTINGS: [Setting; 10] = Setting::ALL;
 /// # Errors
 /// [`LineError`] says what was expected.
 pub fn parse(line: &[u8]) -> Result<Option<Request>, LineError> {
+    if is_sentence(line) {
+        return Ok(nmea_in::parse(line).ok().map(Request::Fix));
+    }
     if line.len() > LONGEST {
         return Err(LineError::Long);
     }
@@ -392,6 +403,11 @@ pub fn parse(line: &[u8]) -> Result<Option<Request>, LineError> {
     } else {
         Err(LineError::Excess)
     }
+}
+
+/// Not from a hand.
+fn is_sentence(line: &[u8]) -> bool {
+    line.first() == Some(&b'$')
 }
 
 fn is(name: &str, typed: &[u8]) -> bool {
@@ -446,6 +462,7 @@ pub async fn run<M: RawMutex, F: NorFlash>(
     mut records: impl Memory,
 ) -> ! {
     let mut lines = LineBuffer::new();
+    let mut keep_us = 0;
     let mut bytes = [0; 16];
     loop {
         let count = rx.read(&mut bytes).await.unwrap_or(0);
@@ -458,12 +475,38 @@ pub async fn run<M: RawMutex, F: NorFlash>(
         for byte in bytes.iter().take(count) {
             if let Some(found) = lines.push(*byte) {
                 match found {
+                    Ok(Request::Fix(fix)) => heed(shared, &mut store, &fix, &mut keep_us).await,
                     Ok(request) => obey(shared, port, &mut store, &mut records, request).await,
                     Err(error) => port.answer(nmea::answer(false, error.expected())).await,
                 }
             }
         }
     }
+}
+
+/// Passes on what a receiver says, and keeps the place.
+async fn heed<M: RawMutex, F: NorFlash>(shared: &Shared<M>, store: &mut Store<F>, fix: &Fix, keep_us: &mut u64) {
+    // The alignment hears of the next one.
+    let _ = shared.fixes.try_send(*fix);
+    let Some(Place { latitude, longitude }) = fix.place else {
+        return;
+    };
+    let last = shared.settings().last_position;
+    let moved = (latitude - last.latitude).abs().max((longitude - last.longitude).abs());
+    let now_us = Instant::now().as_micros();
+    if last.source == Source::Gnss && moved < KEEP_AWAY || now_us < *keep_us {
+        return;
+    }
+    *keep_us = now_us + KEEP_S * 1_000_000;
+    let position = Position {
+        latitude,
+        longitude,
+        height: last.height,
+        source: Source::Gnss,
+    };
+    shared.change(|settings| settings.last_position = position);
+    // What fails here fails at `save` as well, which says so.
+    let _ = store.save_position(&position).await;
 }
 
 async fn obey<M: RawMutex, F: NorFlash>(
@@ -519,6 +562,7 @@ async fn obey<M: RawMutex, F: NorFlash>(
             port.status();
             return;
         }
+        Request::Fix(_) => return,
         Request::Version => {
             let mut line = Line::answer(true);
             line.words("rotary-north ");
@@ -626,7 +670,7 @@ const fn is_text(byte: u8) -> bool {
 /// Makes lines of bytes.
 #[derive(Debug, Clone, Default)]
 pub struct LineBuffer {
-    bytes: Vec<u8, LONGEST>,
+    bytes: Vec<u8, { nmea_in::LONGEST }>,
     /// What is wrong with the line so far.
     refused: Option<LineError>,
 }
@@ -646,6 +690,7 @@ impl LineBuffer {
         match byte {
             b'\r' | b'\n' => {
                 let found = match self.refused.take() {
+                    Some(_) if is_sentence(&self.bytes) => Ok(None),
                     Some(error) => Err(error),
                     None => parse(&self.bytes),
                 };
@@ -797,7 +842,18 @@ mod tests {
                 ],
             ),
             // What the unit itself sends, on a line that echoes.
-            (b"$HETHS,,V*14\r\n", &[Err(E::Unknown)]),
+            (b"$HETHS,,V*14\r\n$PRNSA,ok\xFF,x\r\nstatus\n", &[Ok(Request::Status)]),
+            // A receiver's, and one that has no fix, is cut off, or too long for anybody.
+            (
+                b"$GPVTG,90.0,T,,M,10.0,N,18.5,K,A*39\r\n$GPRMC,,V,,,,,,,,,,N*53\r\n$GPVTG,90.0,T,,M\r\n",
+                &[Ok(Request::Fix(Fix {
+                    place: None,
+                    motion: Some(nmea_in::Motion {
+                        speed: 10.0 * (1852.0 / 3600.0),
+                        course: Some(90.0 * DEG as f32),
+                    }),
+                }))],
+            ),
         ] {
             assert_eq!(feed(bytes), expected, "{}", bytes.escape_ascii());
         }

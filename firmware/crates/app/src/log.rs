@@ -366,6 +366,11 @@ pub enum Alignment {
     RestartedBadSample,
     /// Starts anew: the filter diverged.
     RestartedDiverged,
+    /// Starts anew, once the base stands: it is under way, by a receiver's word.
+    UnderWay {
+        /// m/s.
+        speed: f32,
+    },
 }
 
 impl From<&aligner::Event> for Alignment {
@@ -419,6 +424,7 @@ impl fmt::Display for Alignment {
             Self::RestartedGap { length } => write!(f, "starting anew: {length:.3} s without data"),
             Self::RestartedBadSample => f.write_str("starting anew: an impossible sample"),
             Self::RestartedDiverged => f.write_str("starting anew: the fine filter diverged"),
+            Self::UnderWay { speed } => write!(f, "starting anew once the base stands: it makes {speed:.1} m/s"),
         }
     }
 }

@@ -502,7 +502,8 @@ fn aligning(mode: Mode, told: Alignment) -> Mode {
         | Alignment::RestartedCoarse
         | Alignment::RestartedGap { .. }
         | Alignment::RestartedBadSample
-        | Alignment::RestartedDiverged => Mode::Coarse,
+        | Alignment::RestartedDiverged
+        | Alignment::UnderWay { .. } => Mode::Coarse,
         Alignment::Bridged { .. } => mode,
     }
 }

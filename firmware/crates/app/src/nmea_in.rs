@@ -17,12 +17,18 @@
 //! A sentence counts as a whole or not at all: `$`, a check sum that is right, numbers that are numbers, angles within
 //! their range. Any talker is heard but the proprietary ones.
 //!
-//! Pure: bytes in, numbers out. Nothing uses it yet: at rest it would tell a zero velocity that is one, under way the place.
+//! Pure: bytes in, numbers out. The [console](crate::console) takes them from its line, for whoever has such a receiver; what
+//! becomes of them:
+//!
+//! - A place is the last good position, kept over resets; the unit aligns with it where nobody has entered one.
+//! - A base that is under way cannot be aligned: the alignment waits until it stands.
+//! - The navigator takes velocity and place.
 //!
 //! Source: IEC 61162-1:2016, RMC and VTG.
 
 use core::fmt;
 
+use frames::math;
 use frames::units::DEG;
 
 /// Most of what is taken: with `$`, without CR LF. The standard has 80; some receivers write more digits.
@@ -76,6 +82,15 @@ pub enum Refused {
     NotValid,
     /// This field, counted from the address, is missing, no number, or out of range.
     Field(u8),
+}
+
+impl Motion {
+    /// m/s north and east; `None` where it moves and nobody knows whither.
+    pub fn north_east(&self) -> Option<[f32; 2]> {
+        let course = self.course.or((self.speed == 0.0).then_some(0.0))?;
+        let (sin, cos) = math::sin_cos(course);
+        Some([self.speed * cos, self.speed * sin])
+    }
 }
 
 impl fmt::Display for Refused {

@@ -31,6 +31,7 @@ use crate::command::Command;
 use crate::fault::{Fault, Task};
 use crate::log::{Event, Level};
 use crate::mode::{Input, Job, Status};
+use crate::nmea_in::Fix;
 use crate::record::{Frame, ImuFacts};
 use crate::rotor;
 use crate::settings::Settings;
@@ -43,6 +44,8 @@ pub const FRAMES: usize = 32;
 pub const INPUTS: usize = 16;
 /// Commands that wait.
 pub const COMMANDS: usize = 4;
+/// Sentences of a receiver that wait.
+const FIXES: usize = 4;
 /// Readers of a watch: output, display, log, one spare.
 pub const READERS: usize = 4;
 /// Readings of the rotor's angle kept: 8 ms at 1 kHz, longer than a transfer from the IMU takes.
@@ -158,6 +161,8 @@ pub struct Shared<M: RawMutex> {
     frames: Channel<M, Frame, FRAMES>,
     recording: AtomicBool,
     imu: Mutex<M, Cell<Option<ImuFacts>>>,
+    /// Of a receiver, for the alignment.
+    pub(crate) fixes: Channel<M, Fix, FIXES>,
     counts: Mutex<M, Cell<SampleCounts>>,
     settings: Mutex<M, Cell<Settings>>,
     angles: Mutex<M, RefCell<Angles>>,
@@ -192,6 +197,7 @@ impl<M: RawMutex> Shared<M> {
             frames: Channel::new(),
             recording: AtomicBool::new(false),
             imu: Mutex::new(Cell::new(None)),
+            fixes: Channel::new(),
             counts: Mutex::new(Cell::new(SampleCounts {
                 tally: Tally {
                     received: 0,

@@ -275,6 +275,23 @@ impl<T: Real> Mechanization<T> {
         Ok(())
     }
 
+    /// Puts it to another place with another velocity, m/s; the attitude stays. A height that is held stays as well.
+    ///
+    /// # Errors
+    /// [`MechanizationError`] where place or velocity cannot be. The state is then as before.
+    pub fn fix(&mut self, place: Position<T>, v_n: Vec3<Nav, T>) -> Result<(), MechanizationError> {
+        let height = match self.vertical {
+            Vertical::Free => place.height,
+            Vertical::Held => self.position().height,
+        };
+        let fixed = Self::new(Position { height, ..place }, v_n, self.c_ns.get(), self.vertical)?;
+        *self = Self {
+            c_ns: self.c_ns,
+            ..fixed
+        };
+        Ok(())
+    }
+
     /// Attitude of the IMU.
     pub fn c_ns(&self) -> Rot<Nav, Sensor, T> {
         self.c_ns.get()

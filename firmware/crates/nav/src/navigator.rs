@@ -166,6 +166,23 @@ impl<T: Real> Navigator<T> {
         Ok(())
     }
 
+    /// Takes velocity and place from somebody who knows them better, such as a receiver of satellite navigation: the
+    /// horizontal velocity, m/s north and east, and latitude and longitude, rad, where they are known. Attitude and
+    /// height stay as they are.
+    ///
+    /// # Errors
+    /// [`MechanizationError`] where they cannot be; nothing is taken then.
+    pub fn fix(&mut self, north_east: [T; 2], place: Option<[T; 2]>) -> Result<(), MechanizationError> {
+        let Track { v_n, position } = self.track();
+        let [north, east] = north_east;
+        let position = place.map_or(position, |[latitude, longitude]| Position {
+            latitude,
+            longitude,
+            ..position
+        });
+        self.mechanization.fix(position, Vec3::new(east, north, v_n.z()))
+    }
+
     /// Time since the alignment's end, s.
     pub fn time(&self) -> T {
         self.t
@@ -363,6 +380,30 @@ mod tests {
             Err(NavigatorError::Sample)
         );
         assert_eq!(navigator, before);
+    }
+
+    #[test]
+    fn a_fix_leaves_attitude_and_height() {
+        let start = Position { height: 7.0, ..PLACE };
+        let mut navigator = Navigator::new(CONFIG, start, &hand_over(gyro_bias(), accel_bias())).unwrap();
+        run(&mut navigator, 0..1003);
+        let before = navigator.estimate().c_nb;
+        navigator.fix([3.0, -4.0], Some([0.5, -3.0])).unwrap();
+        let Track { v_n, position } = navigator.track();
+        assert_eq!(v_n, Vec3::new(-4.0, 3.0, 0.0));
+        let there = Position {
+            latitude: 0.5,
+            longitude: -3.0,
+            height: 7.0,
+        };
+        assert_eq!((position, navigator.estimate().c_nb), (there, before));
+        navigator.fix([0.0, 0.0], None).unwrap();
+        assert_eq!(navigator.track().position, there);
+        // What cannot be is not taken.
+        let good = navigator;
+        assert!(navigator.fix([0.0, 0.0], Some([1.7, 0.0])).is_err());
+        assert!(navigator.fix([f64::NAN, 0.0], None).is_err());
+        assert_eq!(navigator, good);
     }
 
     #[test]
