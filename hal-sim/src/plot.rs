@@ -84,9 +84,8 @@ fn draw(area: &sheet::Area<'_>, panel: &Panel<'_>, keys: &[Key<'_>], x_label: &s
     let time = Scale::linear(x_label, start, end);
     let mut plane = Plane::new(area, panel.title, keys, time, Scale::linear(panel.unit, low, high))?;
     if !panel.band.is_empty() {
-        let upper = panel.band.iter().map(|(t, c, h)| (*t, c + h));
-        let lower = panel.band.iter().rev().map(|(t, c, h)| (*t, c - h));
-        plane.fill(upper.chain(lower), BLUE.mix(0.22).filled())?;
+        let band: Vec<_> = panel.band.iter().map(|(t, c, h)| (*t, c - h, c + h)).collect();
+        plane.band(&band, BLUE.mix(0.22).filled())?;
     }
     if !panel.reference.is_empty() {
         plane.line(panel.reference.iter().copied(), VERMILION.stroke_width(2))?;

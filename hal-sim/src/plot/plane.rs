@@ -11,6 +11,8 @@ use super::sheet::{Area, FONT, INK, LABEL, MESH, PAPER, TICK, TITLE, text_width}
 
 /// Distance of a legend's lines, pixels.
 const LEGEND_LINE: i32 = 20;
+/// Where they begin.
+const LEGEND_LEFT: i32 = 16;
 /// Length of the line that an entry of a legend shows.
 const SAMPLE: i32 = 20;
 const MARGIN: u32 = 8;
@@ -151,6 +153,12 @@ fn flow(keys: &[Key<'_>], width: i32) -> (Vec<(i32, i32)>, i32) {
     (places, if keys.is_empty() { 0 } else { line + 1 })
 }
 
+/// Height of a legend above a plane so wide, pixels.
+pub(crate) fn legend_height(keys: &[Key<'_>], width: u32) -> u32 {
+    let (_, lines) = flow(keys, i32::try_from(width).unwrap_or(0) - LEGEND_LEFT);
+    pixels(lines * LEGEND_LINE)
+}
+
 /// Draws an entry with its upper left corner there.
 pub(crate) fn draw_key(area: &Area<'_>, key: &Key<'_>, (x, y): (i32, i32)) -> Result<(), PlotError> {
     if key.style.filled {
@@ -236,8 +244,7 @@ impl<'a, 'b> Plane<'a, 'b> {
         let title = wrapped(title, width - 2 * MARGIN);
         let line = i32::try_from(TITLE).unwrap_or(0) + 3;
         let heading = 14 + line * i32::try_from(title.len()).unwrap_or(0);
-        let left = 16;
-        let (places, lines) = flow(keys, i32::try_from(width).unwrap_or(0) - left);
+        let (places, lines) = flow(keys, i32::try_from(width).unwrap_or(0) - LEGEND_LEFT);
         let head = heading + lines * LEGEND_LINE + 2;
 
         let (above, below) = area.split_vertically(head);
@@ -250,7 +257,7 @@ impl<'a, 'b> Plane<'a, 'b> {
             above.draw(&Text::new(text, (centre, 12 + line * k), style.clone()))?;
         }
         for (key, (at, line)) in keys.iter().zip(places) {
-            draw_key(&above, key, (left + at, heading + LEGEND_LINE * line))?;
+            draw_key(&above, key, (LEGEND_LEFT + at, heading + LEGEND_LINE * line))?;
         }
 
         // First upward: how wide its texts are decides how wide the plane is.
@@ -308,12 +315,30 @@ impl<'a, 'b> Plane<'a, 'b> {
         within.then_some((self.x.at(x)?, y))
     }
 
+    /// The places of a line, as many as are seen.
+    fn places(&self, points: impl IntoIterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
+        let points = points.into_iter().filter_map(|p| self.place(p)).collect();
+        let across = self.chart.plotting_area().dim_in_pixel().0;
+        let ends = self.x.at(self.x.range.0).zip(self.x.at(self.x.range.1));
+        let column = ends.map_or(1.0, |(start, end)| (end - start) / f64::from(across.max(1)));
+        thinned(points, column)
+    }
+
+    /// What lies between two lines, of (x, low, high).
+    pub(crate) fn band(&mut self, band: &[(f64, f64, f64)], style: ShapeStyle) -> Result<(), PlotError> {
+        let mut outline = self.places(band.iter().map(|(x, _, high)| (*x, *high)));
+        let below = self.places(band.iter().map(|(x, low, _)| (*x, *low)));
+        outline.extend(below.into_iter().rev());
+        self.chart.draw_series([Polygon::new(outline, style)])?;
+        Ok(())
+    }
+
     pub(crate) fn line(
         &mut self,
         points: impl IntoIterator<Item = (f64, f64)>,
         style: ShapeStyle,
     ) -> Result<(), PlotError> {
-        let points: Vec<_> = points.into_iter().filter_map(|p| self.place(p)).collect();
+        let points = self.places(points);
         self.chart.draw_series(LineSeries::new(points, style))?;
         Ok(())
     }
@@ -328,6 +353,23 @@ impl<'a, 'b> Plane<'a, 'b> {
         self.chart.draw_series([Polygon::new(outline, style.into())])?;
         Ok(())
     }
+}
+
+/// A line of thousands of points as it looks: of those in one column of pixels the first, the last and the extremes.
+fn thinned(points: Vec<(f64, f64)>, column: f64) -> Vec<(f64, f64)> {
+    let of = |p: &(f64, f64)| (p.0 / column).floor();
+    points
+        .chunk_by(|a, b| of(a).total_cmp(&of(b)).is_eq())
+        .flat_map(|chunk| {
+            let extreme =
+                |sign: f64| (0..chunk.len()).max_by(|a, b| (sign * chunk[*a].1).total_cmp(&(sign * chunk[*b].1)));
+            let mut kept = [Some(0), extreme(1.0), extreme(-1.0), chunk.len().checked_sub(1)];
+            kept.sort_unstable();
+            let mut kept: Vec<usize> = kept.into_iter().flatten().collect();
+            kept.dedup();
+            kept.into_iter().map(|k| chunk[k])
+        })
+        .collect()
 }
 
 #[cfg(test)]
@@ -377,6 +419,21 @@ mod tests {
                 assert!(apart >= f64::from(room), "{scale:?}: {ticks:?}");
             }
         }
+    }
+
+    #[test]
+    fn a_thinned_line_keeps_its_ends_and_extremes() {
+        let wave = |k: i32| (f64::from(k) * 1e-3, (f64::from(k) * 0.7).sin());
+        let points: Vec<_> = (0..100_000).map(wave).collect();
+        let line = thinned(points.clone(), 0.1);
+        assert!(line.len() <= 4 * 1001, "{}", line.len());
+        assert_eq!((line[0], line[line.len() - 1]), (points[0], points[99_999]));
+        assert!(line.is_sorted_by(|a, b| a.0 < b.0));
+        let most = |line: &[(f64, f64)]| line.iter().map(|p| p.1).fold(0.0, f64::max);
+        assert_eq!(most(&line), most(&points));
+        // What is not dense stays as it is.
+        let few: Vec<_> = (0..50).map(wave).collect();
+        assert_eq!(thinned(few.clone(), 1e-3), few);
     }
 
     #[test]

@@ -108,17 +108,21 @@ impl Curve {
     }
 }
 
+/// The entries of a chart's legend.
+fn keys<'a>(chart: &'a Chart<'_>) -> Vec<Key<'a>> {
+    let labelled = chart.curves.iter().filter(|c| !c.label.is_empty());
+    let key = |curve: &'a Curve| Key {
+        text: &curve.label,
+        style: curve.style(),
+    };
+    labelled.map(key).collect()
+}
+
 fn draw(area: &Area<'_>, width: Width, chart: &Chart<'_>) -> Result<(), PlotError> {
     let points = || chart.curves.iter().flat_map(|c| c.points.iter());
     let x = chart.x.scale(points().map(|p| p.0));
     let y = chart.y.scale(points().map(|p| p.1));
-    let labelled = chart.curves.iter().filter(|c| !c.label.is_empty());
-    let keys: Vec<_> = labelled
-        .map(|curve| Key {
-            text: &curve.label,
-            style: curve.style(),
-        })
-        .collect();
+    let keys = keys(chart);
     // Beside the plane where there is room, else above it: no curve is under it.
     let mut plane = match width {
         Width::Page => {
@@ -150,7 +154,13 @@ fn legend_width(keys: &[Key<'_>]) -> u32 {
 /// [`PlotError`] where the drawing library fails.
 pub fn figure(width: Width, charts: &[Chart<'_>]) -> Result<Svg, PlotError> {
     let count = u32::try_from(charts.len()).unwrap_or(u32::MAX);
-    Svg::draw((width.pixels(), 320 * count), |sheet| {
+    // A legend above takes nothing from the plane.
+    let above = |chart: &Chart<'_>| match width {
+        Width::Page => 0,
+        Width::Phone => plane::legend_height(&keys(chart), width.pixels()),
+    };
+    let height = 320 + charts.iter().map(above).max().unwrap_or(0);
+    Svg::draw((width.pixels(), height * count), |sheet| {
         let areas = sheet.split_evenly((charts.len(), 1));
         areas
             .iter()
@@ -186,6 +196,31 @@ mod tests {
         let xs = points.flat_map(|points| points.split(' ').filter_map(|p| p.split(',').next()?.parse().ok()));
         // A legend's own line has two points at one height, and is not wider than it.
         xs.filter(|x: &f64| label.is_empty() || *x < 700.0).fold(0.0, f64::max)
+    }
+
+    /// Height of the sheet of a chart with so many curves.
+    fn height(width: Width, curves: usize) -> u32 {
+        let curve = |k: usize| Curve {
+            label: format!("curve {k} of a chart that has many"),
+            points: vec![(0.0, 0.0), (1.0, 1.0)],
+            thin: false,
+            colour: k,
+        };
+        let chart = Chart {
+            title: "title",
+            x: Axis::linear("x"),
+            y: Axis::linear("y"),
+            curves: (0..curves).map(curve).collect(),
+        };
+        let svg = figure(width, &[chart]).unwrap();
+        let height = svg.element().split("height=\"").nth(1).unwrap();
+        height.split('"').next().unwrap().parse().unwrap()
+    }
+
+    #[test]
+    fn a_long_legend_does_not_squash_the_plane() {
+        assert_eq!(height(Width::Page, 1), height(Width::Page, 8));
+        assert_eq!(height(Width::Phone, 8) - height(Width::Phone, 1), 7 * 20);
     }
 
     #[test]
