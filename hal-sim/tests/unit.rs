@@ -88,6 +88,37 @@ fn heading_is_the_cores_and_lost_samples_cost_little() {
     assert!(lossy / unit < 1.1, "{lossy} {unit}");
 }
 
+/// A motor loop that stalls for 7 ms is no fault yet, but has no angle for some samples: 0.1° of the rotor's turn each,
+/// which would be missing from heading.
+#[test]
+fn samples_without_an_angle_are_bridged() {
+    let mut scenario = paper();
+    scenario.run.duration_s = 200.0;
+    scenario.fault = (0..30_u8)
+        .map(|k| FaultAt {
+            at_s: 50.0 + 5.0 * f64::from(k),
+            for_s: Some(0.007),
+            kind: FaultKind::HangMotor,
+        })
+        .collect();
+    let off = (1..=3).map(|seed| {
+        let mut lines = Lines::default();
+        let result = unit_sim::run(&scenario, seed, Method::Robust, &mut lines).unwrap();
+        assert!(result.faults.is_empty(), "{:?}", result.faults);
+        assert_eq!((result.state, result.samples.lost), ("aligned", 0));
+        let bridged = lines.0.iter().filter(|line| line.contains("bridged")).count();
+        // The angle is known for 5 ms beyond the last reading, and a sample takes 4.94 ms.
+        assert!((5..=20).contains(&bridged), "seed {seed}: {bridged}");
+        let heading = |moment: &Option<unit_sim::UnitMoment>| moment.as_ref().unwrap().error.heading_deg;
+        let off = heading(&result.last) - heading(&result.core);
+        println!("seed {seed}: {bridged} bridged, heading off the core's by {off:.4} deg");
+        off
+    });
+    // A stall leaves the rotor to its friction and the swing: not all of it is a straight line to bridge.
+    let off = rms(off);
+    assert!(off < 0.15, "{off}");
+}
+
 /// Where the unit is some time after a fault that lasts for a second.
 fn outcome(result: &UnitResult) -> String {
     let found = &result.faults[0];

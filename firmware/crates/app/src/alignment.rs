@@ -119,6 +119,27 @@ impl Work {
             _ => Taken::No,
         }
     }
+
+    /// Whether it can do nothing with a sample whose rotor angle is unknown.
+    fn needs_angle(&self) -> bool {
+        !matches!(self, Self::Idle | Self::Inspect(_))
+    }
+}
+
+/// Time of samples whose rotor angle is unknown, s: nothing can be done with them, and it is missing like that of lost ones.
+#[derive(Default)]
+struct Unseen(f32);
+
+impl Unseen {
+    /// Keeps the time of a sample without an angle, and adds what was kept to the gap before one that has it.
+    fn pass(&mut self, sample: &mut TimedSample) {
+        let increments = &mut sample.sample;
+        if sample.alpha.is_some() {
+            increments.gap += core::mem::take(&mut self.0);
+        } else {
+            self.0 += increments.gap + increments.dt;
+        }
+    }
 }
 
 /// The task. The aligner is the caller's: it is 40 kB, and belongs into a static.
@@ -126,6 +147,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
     let mut work = Work::Idle;
     let mut correction = Correction::default();
     let mut mounting = Mounting::default();
+    let mut unseen = Unseen::default();
     let mut tap = Tap::new(config.noise, config.schedule, shared.settings().position());
     let mut ground = Ground::default();
     let mut since_published = 0;
@@ -142,6 +164,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
                     thermal: settings.thermal,
                 };
                 mounting = settings.installation.mounting;
+                unseen = Unseen::default();
                 continue;
             }
             Either3::Second(sample) => sample,
@@ -157,6 +180,9 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
             taken => taken,
         };
         let mut sample = sample;
+        if work.needs_angle() {
+            unseen.pass(&mut sample);
+        }
         if taken != Taken::No {
             sample.sample = correction.of(&sample);
         }
