@@ -8,10 +8,20 @@
 //! J(ψ) = (ω(ψ) − ω̂)ᵀ P⁻¹ (ω(ψ) − ω̂),     ω(ψ) = ω_ie cos L [sin ψ, cos ψ]
 //! ```
 //!
-//! J is a trigonometric polynomial of second degree and has one minimum or two. There are two where the rotor's mean
-//! axis is tilted: the z gyro's bias, which turning about z does not modulate, then draws the ellipse out along the
-//! level part of the axis, and a line meets a circle twice. Both are found; the difference of J says how much likelier
-//! the first is.
+//! J has one minimum or two. There are two where the rotor's mean axis is tilted: the z gyro's bias, which turning about
+//! z does not modulate, then draws the ellipse out along the level part of the axis, and a line meets a circle twice. Both
+//! are found; the difference of J says how much likelier the first is.
+//!
+//! Along the axes of the ellipse, the thin one with the weight A, the long one with B ≤ A, and ω̂ at (p, q) with p, q > 0, the
+//! slope of J at (cos θ, sin θ) divided by 2 sin θ cos θ is
+//!
+//! ```text
+//! B − A + A p/cos θ − B q/sin θ
+//! ```
+//!
+//! In the quadrant of ω̂ it grows from −∞ to ∞: there is one minimum, and no point of the circle is nearer, since each has
+//! its mirror image there. Mirrored in the thin axis the last term changes its sign: both ends are ∞, the least value is at
+//! tan³θ = B q/(A p), and where that is negative there is the other minimum beyond it. In the quadrants left there is none.
 
 use frames::{Real, math};
 use nalgebra::{Matrix2, Vector2};
@@ -34,12 +44,27 @@ pub struct North<T: Real> {
     pub other: Option<Direction<T>>,
 }
 
-/// Points at which J is looked at first, every 5.6°. Where the ellipse touches the circle, two minima may be nearer to
-/// each other than that; one stands for both then, and J hardly differs between them.
-const POINTS: usize = 64;
+/// Halvings of a quadrant: to 1e-6 rad.
+const HALVINGS: usize = 21;
 
-/// Halvings of twice their distance: to 1e-6 rad.
-const HALVINGS: usize = 18;
+/// ω̂ is taken to be this far from the axes at least, in units of ω_ie cos L: on an axis both sides of it are as good, and
+/// one is enough.
+const OFF_AXIS: f64 = 1e-6;
+
+/// The angle between `low` and the end of the quadrant up to which `is_below` holds, a function of sine and cosine.
+fn halve<T: Real>(mut low: T, is_below: impl Fn((T, T)) -> bool) -> T {
+    let half = T::lit(0.5);
+    let mut high = T::frac_pi_2();
+    for _ in 0..HALVINGS {
+        let middle = (low + high) * half;
+        if is_below(math::sin_cos(middle)) {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    (low + high) * half
+}
 
 impl<T: Real> North<T> {
     /// The frame's own north, before anything is known.
@@ -56,49 +81,50 @@ impl<T: Real> North<T> {
     /// From the estimated level rate and its covariance, east and north, both in units of ω_ie cos L. `length_var` is
     /// the variance of the length in the same unit.
     pub fn find(rate: &Vector2<T>, covariance: &Matrix2<T>, length_var: T) -> Self {
-        let p = covariance + Matrix2::identity() * length_var;
-        let scale = T::one() / (p[(0, 0)] * p[(1, 1)] - p[(0, 1)] * p[(1, 0)]);
-        let weight = Matrix2::new(p[(1, 1)], -p[(0, 1)], -p[(1, 0)], p[(0, 0)]) * scale;
-        let at = |angle: T| {
-            let (sin, cos) = math::sin_cos(angle);
-            (Vector2::new(sin, cos), Vector2::new(cos, -sin))
-        };
-        let cost = |angle: T| {
-            let d = at(angle).0 - rate;
-            d.dot(&(weight * d))
-        };
-        let step = T::two_pi() / T::lit(POINTS as f64);
-        let angles: [T; POINTS] = core::array::from_fn(|k| step * T::lit(k as f64));
-        let costs = angles.map(cost);
-        let (mut best, mut other): (Option<Direction<T>>, Option<Direction<T>>) = (None, None);
-        for k in 0..POINTS {
-            let (before, after) = (costs[(k + POINTS - 1) % POINTS], costs[(k + 1) % POINTS]);
-            if !(costs[k] <= before && costs[k] < after) {
-                continue;
-            }
-            // The minimum is between the neighbours, where the slope changes its sign.
-            let (mut low, mut high) = (angles[k] - step, angles[k] + step);
-            for _ in 0..HALVINGS {
-                let middle = (low + high) * T::lit(0.5);
-                let (point, tangent) = at(middle);
-                if tangent.dot(&(weight * (point - rate))) < T::zero() {
-                    low = middle;
-                } else {
-                    high = middle;
-                }
-            }
-            let angle = (low + high) * T::lit(0.5);
-            let found = Direction {
-                angle: math::wrap_pi(angle),
-                cost: cost(angle),
-            };
-            if best.is_none_or(|best| found.cost < best.cost) {
-                (best, other) = (Some(found), best);
-            } else if other.is_none_or(|other| found.cost < other.cost) {
-                other = Some(found);
-            }
+        let zero = T::zero();
+        let cov = covariance + Matrix2::identity() * length_var;
+        let half = T::lit(0.5);
+        let (mean, difference, cross) = (
+            (cov[(0, 0)] + cov[(1, 1)]) * half,
+            (cov[(0, 0)] - cov[(1, 1)]) * half,
+            cov[(0, 1)],
+        );
+        let most = mean + math::hypot(difference, cross);
+        if !(most.finite() && rate.x.finite() && rate.y.finite()) {
+            return Self::ahead();
         }
-        best.map_or(Self::ahead(), |best| Self { best, other })
+        // The determinant may be lost in rounding.
+        let least = (cov[(0, 0)] * cov[(1, 1)] - cross * cross) / most;
+        let least = least.max(most * T::default_epsilon());
+        let (sin, cos) = math::sin_cos(math::atan2(cross, difference) * half);
+        // The axes with the sense that gives both components of the rate their sign.
+        let along = |axis: Vector2<T>| {
+            let at = axis.dot(rate);
+            let sense = if at < zero { -T::one() } else { T::one() };
+            (axis * sense, (at * sense).max(T::lit(OFF_AXIS)))
+        };
+        let ((thin, p), (long, q)) = (along(Vector2::new(-sin, cos)), along(Vector2::new(cos, sin)));
+        let (a, b) = (least.recip(), most.recip());
+
+        // Half the slope of J on this side of the thin axis, that of the rate or the other.
+        let slope = |(sin, cos): (T, T), side: T| (b - a) * sin * cos + a * p * sin - side * b * q * cos;
+        let minimum = |from: T, side: T| {
+            let (sin, cos) = math::sin_cos(halve(from, |at| slope(at, side) < zero));
+            let point = thin * cos + long * (side * sin);
+            let (off_thin, off_long) = (cos - p, side * sin - q);
+            Direction {
+                angle: math::atan2(point.x, point.y),
+                cost: a * off_thin * off_thin + b * off_long * off_long,
+            }
+        };
+        let best = minimum(zero, T::one());
+        let other_side = -T::one();
+        let least_slope = halve(zero, |(sin, cos)| a * p * sin * sin * sin < b * q * cos * cos * cos);
+        let is_there = slope(math::sin_cos(least_slope), other_side) < zero;
+        Self {
+            best,
+            other: is_there.then(|| minimum(least_slope, other_side)),
+        }
     }
 }
 
@@ -107,33 +133,113 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// A rate, east and north, with the axes of its ellipse, powers of ten, and the direction of the long one.
+    #[derive(Debug, Clone, Copy)]
+    struct Case {
+        rate: [f64; 2],
+        long: f64,
+        thin: f64,
+        turn: f64,
+    }
+
+    /// Against a search in steps of a hundredth of a degree: the lowest point, and how many minima there are.
+    fn check(case: Case) {
+        let (long, short) = (10.0_f64.powf(case.long), 10.0_f64.powf(case.long + case.thin));
+        let (s, c) = math::sin_cos(case.turn);
+        let axes = Matrix2::new(c, -s, s, c);
+        let p = axes * Matrix2::new(long * long, 0.0, 0.0, short * short) * axes.transpose();
+        let rate = Vector2::from(case.rate);
+        let north = North::find(&rate, &p, 0.0);
+        let weight = p.try_inverse().unwrap();
+        let cost = |angle: f64| {
+            let (sin, cos) = math::sin_cos(angle);
+            let d = Vector2::new(sin, cos) - rate;
+            d.dot(&(weight * d))
+        };
+        let found = [Some(north.best), north.other];
+        for Direction { angle, cost: told } in found.into_iter().flatten() {
+            let there = cost(angle);
+            // A step of the bisection where J is steepest, and the distance kept from the axes.
+            let slack = 4e-12 / (short * short) + 4e-6 * there;
+            assert!((told - there).abs() < slack, "{case:?}: {north:?}, {there}");
+            let beside = cost(angle - 2e-5).min(cost(angle + 2e-5));
+            assert!(beside > there - slack, "{case:?}: {north:?}, {beside}");
+        }
+        let step = core::f64::consts::TAU / 36_000.0;
+        let costs: [f64; 36_000] = core::array::from_fn(|k| cost(k as f64 * step));
+        let lowest = costs.iter().copied().fold(f64::MAX, f64::min);
+        assert!(
+            north.best.cost <= lowest + 1e-12 / (short * short) + 1e-6 * lowest,
+            "{case:?}: {north:?}, {lowest}"
+        );
+        assert!(
+            north.other.is_none_or(|other| other.cost >= north.best.cost),
+            "{case:?}: {north:?}"
+        );
+        let minima = (0..36_000).filter(|k| {
+            let (before, after) = (costs[(k + 35_999) % 36_000], costs[(k + 1) % 36_000]);
+            costs[*k] <= before && costs[*k] < after
+        });
+        for k in minima {
+            let off = |at: Direction<f64>| math::wrap_pi(at.angle - k as f64 * step).abs();
+            let nearest = found.into_iter().flatten().map(off).fold(f64::MAX, f64::min);
+            assert!(nearest < 1.1 * step, "{case:?}: {north:?}, {}", k as f64 * step);
+        }
+    }
+
     proptest! {
-        /// Against a search in steps of a thousandth of a degree.
         #[test]
         fn no_point_of_the_circle_is_nearer(
             e in -2.0..2.0_f64, n in -2.0..2.0_f64, long in -3.0..0.5_f64, thin in -2.5..0.0_f64, turn in 0.0..3.2_f64,
         ) {
-            let (long, short) = (10.0_f64.powf(long), 10.0_f64.powf(long + thin));
-            let (s, c) = math::sin_cos(turn);
-            let axes = Matrix2::new(c, -s, s, c);
-            let p = axes * Matrix2::new(long * long, 0.0, 0.0, short * short) * axes.transpose();
-            let rate = Vector2::new(e, n);
-            let north = North::find(&rate, &p, 0.0);
-            let weight = p.try_inverse().unwrap();
-            let cost = |angle: f64| {
-                let (sin, cos) = math::sin_cos(angle);
-                let d = Vector2::new(sin, cos) - rate;
-                d.dot(&(weight * d))
-            };
-            let least = (0..36_000).map(|k| cost(f64::from(k) * core::f64::consts::TAU / 36_000.0)).fold(f64::MAX, f64::min);
-            prop_assert!(north.best.cost <= least * 1.001 + 0.05, "{north:?} {least}");
-            if let Some(other) = north.other {
-                prop_assert!(other.cost >= north.best.cost);
-                let slope = (cost(other.angle + 1e-4) - cost(other.angle - 1e-4)) / 2e-4;
-                let curve = (cost(other.angle + 1e-4) + cost(other.angle - 1e-4) - 2.0 * cost(other.angle)) / 1e-8;
-                prop_assert!(slope.abs() < 0.05 * curve.abs().max(1.0), "{other:?}: {slope} {curve}");
+            check(Case { rate: [e, n], long, thin, turn });
+        }
+    }
+
+    #[test]
+    fn two_minima_may_be_five_degrees_apart() {
+        // Where the long axis touches the circle: at 223.2° with J of 0.25, and at 228.7° with 0.16.
+        check(Case {
+            rate: [-1.032_266_888_293_579_5, -0.371_536_600_239_140_1],
+            long: 0.0,
+            thin: -2.382_389_139_840_259,
+            turn: 2.342_869_912_132_910_4,
+        });
+    }
+
+    #[test]
+    fn rates_on_an_axis_or_without_a_direction() {
+        for rate in [
+            [0.0, 0.0],
+            [0.0, 1.0],
+            [1.0, 0.0],
+            [-0.5, 0.0],
+            [0.0, -1.5],
+            [1e-9, -1e-9],
+        ] {
+            for turn in [0.0, core::f64::consts::FRAC_PI_2] {
+                for thin in [-2.5, -1.0, -0.1] {
+                    check(Case {
+                        rate,
+                        long: -0.5,
+                        thin,
+                        turn,
+                    });
+                }
             }
         }
+        let north = North::find(&Vector2::new(0.0_f32, 1.0), &(Matrix2::identity() * 1e-4), 0.0);
+        assert!(north.best.angle.abs() < 3e-6 && north.other.is_none(), "{north:?}");
+    }
+
+    #[test]
+    fn other_than_numbers_say_nothing() {
+        let one = Matrix2::<f32>::identity();
+        assert_eq!(North::find(&Vector2::new(f32::NAN, 1.0), &one, 0.0), North::ahead());
+        assert_eq!(
+            North::find(&Vector2::new(0.0, 1.0), &(one * f32::NAN), 0.0),
+            North::ahead()
+        );
     }
 
     #[test]
