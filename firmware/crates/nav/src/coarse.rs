@@ -180,28 +180,37 @@ impl<T: Real> Coarse<T> {
         );
         let accel = |p: &CoarsePoint<T>| up * axes * p.bias_once / (p.t * g);
 
-        // Heading: the tilt about east by which the second mean differs from the first, over the angle
-        // by which Earth's rotation makes them differ, ω_ie cos L (t2 − t1)/2; and the drift about the
-        // vertical since the time that the pair stands for, 2/3 (t1 + t2).
+        // Heading: the tilt about east by which the second mean differs from the first, over the angle by which Earth's
+        // rotation makes them differ, ω_ie cos L (t2 − t1)/2; and the drift about the vertical, which turns that angle too:
+        // of a steady one 2 (t − (t1 + t2)/3) is left, in n as it is now. A bias does both, and they may cancel: where the
+        // axis is upright the tilt is that of Earth's rotation alone, and takes back half of the other.
+        let (first_tilt, second_tilt) = (gyro(first), gyro(second));
         let lever = T::lit(0.5) * earth.w_north() * (t2 - t1);
-        let east = gyro_bias * (gyro(second) - gyro(first)).row(0).norm_squared()
-            + accel_bias * (accel(second) - accel(first)).row(0).norm_squared()
+        let about_up = (axes * self.bias_once).row(2) / t;
+        let heading_by_bias =
+            (second_tilt - first_tilt).row(0) / lever + about_up * (T::lit(2.0) * (t - third * (t1 + t2)));
+        let east = accel_bias * (accel(second) - accel(first)).row(0).norm_squared()
             + square(noise.angle_random_walk * (t2 - t1)) * third / t2
             + square(noise.velocity_random_walk / g) * (T::one() / t1 - T::one() / t2);
-        let age = t - T::lit(2.0) * third * (t1 + t2);
         let north = east / square(lever);
-        let heading = north + gyro_bias * square(age) + square(noise.angle_random_walk) * age.abs();
+        let age = t - T::lit(2.0) * third * (t1 + t2);
+        let heading = gyro_bias * heading_by_bias.norm_squared() + north + square(noise.angle_random_walk) * age.abs();
 
-        // Tilt: the gyros carry the vertical from its mean over [0, t1] to now.
-        let carried = axes * self.bias_once - gyro(first);
+        // Tilt: the gyros carry the vertical from its mean over [0, t1] to now. Since then n has turned about north, and with
+        // a wrong north about east as well; the same bias does both.
+        let turned = earth.w_north() * (t - T::lit(0.5) * t1);
+        let mut carried = axes * self.bias_once - first_tilt;
+        let about_east = carried.row(0)
+            - (heading_by_bias - about_up * t) * turned
+            - about_up * (earth.w_north() * t1 * (T::lit(0.5) * t - third * t1));
+        carried.set_row(0, &about_east);
         let mean = accel(first);
         let white = square(noise.angle_random_walk) * (t - T::lit(2.0) * third * t1)
             + square(noise.velocity_random_walk / g) / t1;
         let mut p = carried * carried.transpose() * gyro_bias
             + mean * mean.transpose() * accel_bias
             + Matrix3::identity() * white;
-        // Since then n has turned about north, and with a wrong north about east as well.
-        p[(0, 0)] += north * square(earth.w_north() * (t - T::lit(0.5) * t1));
+        p[(0, 0)] += north * square(turned);
         for axis in 0..2 {
             p[(axis, 2)] = T::zero();
             p[(2, axis)] = T::zero();
@@ -367,5 +376,108 @@ mod tests {
             ..late
         };
         assert!(matches!(solve(early, still), Err(CoarseError::Degenerate { .. })));
+    }
+
+    /// Chance, seeded: SplitMix64.
+    struct Chance(u64);
+
+    impl Chance {
+        fn uniform(&mut self) -> f64 {
+            self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+            let x = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            ((x ^ (x >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+        }
+
+        /// Of twelve uniform ones, near enough to a normal one: only variances count here.
+        fn normal(&mut self) -> f64 {
+            (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
+        }
+
+        fn normals(&mut self) -> Vec3<Sensor, f64> {
+            Vec3::new(self.normal(), self.normal(), self.normal())
+        }
+    }
+
+    /// RMS of φ east, north and up over the predicted one, of 400 runs of a rotor in a still housing at this pitch and roll.
+    fn scatter(pitch: f64, roll: f64, [t1, t2, t]: [usize; 3], noise: &ImuNoise<f64>, seed: u64) -> [f64; 3] {
+        const RUNS: u32 = 400;
+        const RATE: usize = 10;
+        let earth = Earth::<f64>::new(40.0 * DEG, 0.0).unwrap();
+        let schedule = Schedule::<f64>::new(RotorConfig::default()).unwrap();
+        let dt = (RATE as f64).recip();
+        let turn_n = earth.w_ie_n() * dt;
+        let c_nb: Rot<Nav, Body, f64> = Rot::from_yaw_pitch_roll(2.1, pitch, roll);
+        let c_ns = |k: usize| c_nb * Rot::about_z(schedule.at(k as f64 * dt).angle);
+        let exact: [_; 300 * RATE] = core::array::from_fn(|k| {
+            let to_start = c_ns(k).inverse();
+            let force = -earth.g_n() - turn_n.cross(earth.g_n()) * 0.5;
+            (
+                (to_start * (Rot::exp(turn_n) * c_ns(k + 1))).log(),
+                to_start * force * dt,
+            )
+        });
+        let mut chance = Chance(seed);
+        let (mut squares, mut predicted) = ([0.0; 3], [0.0; 3]);
+        for _ in 0..RUNS {
+            let (gyro, accel) = (
+                chance.normals() * noise.gyro_bias_sd,
+                chance.normals() * noise.accel_bias_sd,
+            );
+            let mut coarse = Coarse::new();
+            let (mut first, mut second) = (coarse.point(), coarse.point());
+            for (k, (phi_s, dv_s)) in (1..=RATE * t).zip(&exact) {
+                let walk = math::sqrt(dt);
+                coarse.push(&Increment {
+                    phi_s: *phi_s + gyro * dt + chance.normals() * (noise.angle_random_walk * walk),
+                    dv_s: *dv_s + accel * dt + chance.normals() * (noise.velocity_random_walk * walk),
+                    dt,
+                });
+                if k == RATE * t1 {
+                    first = coarse.point();
+                }
+                if k == RATE * t2 {
+                    second = coarse.point();
+                }
+            }
+            let solution = CoarseSolution::solve(first, second, &earth).unwrap();
+            let phi = (coarse.c_ns(&solution, &earth) * c_ns(RATE * t).inverse()).log();
+            let p = coarse.phi_covariance(&solution, &earth, noise);
+            for (axis, phi) in phi.to_array().into_iter().enumerate() {
+                squares[axis] += phi * phi;
+                predicted[axis] += p[(axis, axis)];
+            }
+        }
+        core::array::from_fn(|axis| math::sqrt(squares[axis] / predicted[axis]))
+    }
+
+    /// 400 runs scatter an RMS by 3.5 %.
+    #[test]
+    fn predicted_sd_is_that_of_many_runs() {
+        let all = ImuNoise::default();
+        let biases = ImuNoise {
+            angle_random_walk: 0.0,
+            velocity_random_walk: 0.0,
+            accel_bias_sd: 0.0,
+            ..all
+        };
+        for (pitch, roll) in [(0.0, 0.0), (0.01, -0.01), (0.035, -0.05), (-0.03, 0.02)] {
+            for times in [[50, 250, 300], [18, 54, 54], [100, 200, 300]] {
+                for (name, noise) in [("biases", &biases), ("all", &all)] {
+                    let [east, north, up] = scatter(pitch, roll, times, noise, 2);
+                    let ratios = [east, north, up];
+                    assert!((0.9..1.1).contains(&up), "{pitch} {roll} {times:?} {name}: {ratios:?}");
+                    assert!(
+                        (0.9..1.1).contains(&north),
+                        "{pitch} {roll} {times:?} {name}: {ratios:?}"
+                    );
+                    // The walk's tilt and what it makes of north are taken to have nothing to do with each other.
+                    assert!(
+                        (0.75..1.1).contains(&east),
+                        "{pitch} {roll} {times:?} {name}: {ratios:?}"
+                    );
+                }
+            }
+        }
     }
 }
