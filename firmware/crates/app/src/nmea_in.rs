@@ -156,7 +156,7 @@ fn framed(line: &[u8]) -> Result<&[u8], Refused> {
     let (Some((b'$', rest)), true) = (line.split_first(), line.len() <= LONGEST) else {
         return Err(Refused::Frame);
     };
-    let Some((body, [b'*', high, low])) = rest.split_last_chunk() else {
+    let [body @ .., b'*', high, low] = rest else {
         return Err(Refused::Frame);
     };
     let (Some(high), Some(low)) = (hex(*high), hex(*low)) else {

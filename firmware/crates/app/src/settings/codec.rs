@@ -159,10 +159,9 @@ impl<'a> Codec<'a> {
     /// A text, filled up with zeros.
     pub(super) fn text<const N: usize>(&mut self, name: &'static str, value: &mut [u8; N]) {
         self.raw(value);
-        let length = value.iter().position(|byte| *byte == 0).unwrap_or(N);
-        let (text, fill) = value.split_at(length);
-        let good = |byte: &u8| matches!(byte, b' '..=b'~') && !b"$*,!\\".contains(byte);
-        if !text.iter().all(good) || fill.iter().any(|byte| *byte != 0) {
+        let good = |byte: &&u8| matches!(byte, b' '..=b'~') && !b"$*,!\\".contains(byte);
+        let mut fill = value.iter().skip_while(good);
+        if fill.any(|byte| *byte != 0) {
             self.refuse(Invalid::Text { name });
         }
     }
