@@ -12,7 +12,7 @@
 //! | faults | one after the other, at times two at once | each of [`FaultKind`], from 5 ms to 60 s |
 //! | boot loops | 1 of 30 | a task that hangs at every start |
 //! | failed transfers | once in some minutes | 1 to 8 on a bus |
-//! | lines typed | two a minute | words of the console, right and wrong, and nonsense |
+//! | lines typed | two a minute | words of the console, right and wrong, nonsense, and a receiver's sentences; at times it records |
 //! | noise | once in some minutes | wrong bits both ways, garbage, a broken line |
 //!
 //! # What must hold
@@ -33,8 +33,10 @@ use std::collections::{BTreeMap, VecDeque};
 use app::command::ModeName;
 use app::fault::{Fault, Task};
 use app::hal::ResetCause;
+use app::record;
 use app::selftest::Failure;
 use drivers::Channels;
+use drivers::crc::crc32;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -407,7 +409,7 @@ impl Observer for Heard {
 
     fn sentence(&mut self, line: &UartLine) {
         self.bytes += line.bytes.len() as u64;
-        self.sentences += 1;
+        self.sentences += u64::from(!line.bytes.starts_with(&[record::SYNC]));
         if !is_sound(&line.bytes) {
             self.wrong.push(line.started_ns / 1000);
         } else if let Some(rest) = line.bytes.strip_prefix(b"$PRNSA,") {
@@ -418,8 +420,12 @@ impl Observer for Heard {
     }
 }
 
-/// Whether a sentence has the check sum that it says.
+/// Whether a sentence or a frame has the check sum that it says.
 fn is_sound(line: &[u8]) -> bool {
+    if let [record::SYNC, frame @ ..] = line {
+        let parts = frame.split_last_chunk();
+        return parts.is_some_and(|(body, crc)| crc32(body.iter().copied()) == u32::from_le_bytes(*crc));
+    }
     let body = line.strip_prefix(b"$").and_then(|line| line.strip_suffix(b"\r\n"));
     let Some((body, sum)) = body.and_then(|body| body.split_last_chunk::<3>()) else {
         return false;
@@ -1025,7 +1031,7 @@ impl Soak {
     }
 
     fn type_something(&mut self) {
-        const HARMLESS: [(&str, Answer); 18] = [
+        const HARMLESS: [(&str, Answer); 20] = [
             ("status", Answer::Status),
             ("version", Answer::Any),
             ("help", Answer::Any),
@@ -1034,6 +1040,8 @@ impl Soak {
             ("faults clear", Answer::Any),
             ("log info", Answer::Any),
             ("log debug", Answer::Any),
+            ("record on", Answer::Any),
+            ("record off", Answer::Any),
             ("set height 12.5", Answer::Any),
             ("set longitude 116.3", Answer::Any),
             ("set serial 77", Answer::Any),
@@ -1050,6 +1058,10 @@ impl Soak {
             let line = DISTURBING[self.rng.random_range(0..DISTURBING.len())];
             self.disturbed();
             self.type_line(line, Answer::Any);
+        } else if self.chance(0.1) {
+            // A receiver's, which is not answered: the base stands.
+            self.session
+                .send(b"$GPRMC,120000,A,4000.0,N,11618.0,E,0.0,,231126,,,A*53\r\n");
         } else if self.chance(0.2) {
             let length = self.rng.random_range(1..100);
             // Neither the end of a line, nor what makes it a remark, nor a word that there is.
