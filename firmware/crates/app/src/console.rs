@@ -127,7 +127,7 @@ impl PartialEq for Setting {
 
 impl Setting {
     /// All that can be set here. The place is taken up by `align`, the others by `restart`, once saved.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         setting("latitude", "deg", Group::Installation, 5, |s| {
             Field::Angle(&mut s.installation.position.latitude)
         }),
@@ -151,6 +151,9 @@ impl Setting {
         }),
         setting("rotor-travel", "deg", Group::Motion, 1, |s| {
             Field::Angle(&mut s.motion.travel)
+        }),
+        setting("encoder-zero", "deg", Group::Encoder, 3, |s| {
+            Field::Angle(&mut s.encoder.zero)
         }),
         setting("period", "ms", Group::Output, 0, |s| {
             Field::Count(&mut s.output.period_ms)
@@ -350,7 +353,7 @@ impl fmt::Display for LineError {
 impl core::error::Error for LineError {}
 
 /// One copy of them: a constant would be one wherever it is used.
-static SETTINGS: [Setting; 10] = Setting::ALL;
+static SETTINGS: [Setting; 11] = Setting::ALL;
 
 /// What a line without its end asks for; `None` where it is empty or a remark.
 ///
