@@ -27,8 +27,6 @@ const VERSION: &str = env!("ROTARY_NORTH_VERSION");
 async fn main(spawner: Spawner) {
     let board = Board::start();
     let blackbox = BlackBox::start(BlackBoxRam, board.reset_cause, Instant::now().as_micros());
-    defmt::info!("rotary-north {=str}", VERSION);
-    // And what ended the run before.
-    defmt::info!("started by {}", blackbox.started());
+    app::log::started(VERSION, blackbox.started());
     tasks::start(spawner, board, blackbox).await;
 }

@@ -55,9 +55,7 @@ static ALIGNER: StaticCell<Aligner> = StaticCell::new();
 pub async fn start(spawner: Spawner, mut board: Board, blackbox: BlackBox<BlackBoxRam>) {
     let mut store = Store::new(board.settings);
     let (settings, report) = store.load_over(params::factory()).await;
-    for (group, origin) in report.wanting() {
-        defmt::warn!("settings: {} {}", group, origin);
-    }
+    app::log::settings(&report);
     let (shared, aligner) = (shared(settings), aligner(&settings));
     let encoder = MagneticEncoder {
         driver: Mt6835::new(board.encoder),

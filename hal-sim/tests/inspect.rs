@@ -11,6 +11,11 @@ use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
+use app::blackbox::Start;
+use app::command::ModeName;
+use app::fault::Fault;
+use app::hal::ResetCause;
+use app::log::{Event, Report};
 use hal_sim::inspect::defmt::Elf;
 use hal_sim::inspect::timeline::{Source, Timeline};
 use hal_sim::inspect::{InspectError, Reader, chart, of_bytes, report};
@@ -19,19 +24,20 @@ use object::{Architecture, BinaryFormat, Endianness, SectionKind, SymbolFlags, S
 use proptest::prelude::*;
 use tempfile::TempDir;
 
-/// Texts of the image that is made here, by level.
-const TEXTS: [(&str, &str); 5] = [
-    ("info", "started by {}"),
+/// Texts of the image that is made here, by level: what is told is put into them.
+const TEXTS: [(&str, &str); 4] = [
     ("info", "{}"),
     ("error", "{}"),
     ("warn", "{}"),
-    ("info", "heading {} deg, sd {}; pitch {}, roll {}"),
+    (
+        "info",
+        "aligned     rotor +12.3 deg, heading {} deg, sd {} deg, pitch {} deg, roll {} deg",
+    ),
 ];
-const STARTED: usize = 0;
-const INFO: usize = 1;
-const ERROR: usize = 2;
-const WARN: usize = 3;
-const ESTIMATE: usize = 4;
+const INFO: usize = 0;
+const ERROR: usize = 1;
+const WARN: usize = 2;
+const ESTIMATE: usize = 3;
 
 /// An image that has nothing but the texts of its log: those of [`TEXTS`], the words that are put into them, and before them
 /// as many others as `moved` says.
@@ -111,21 +117,64 @@ impl Image {
     }
 }
 
+/// As the image says it, and the simulator.
 const WORDS: [&str; 9] = [
-    "PowerOn",
-    "Watchdog",
-    "Mode {{ from: Idle, to: SelfTest }}",
-    "Mode {{ from: SelfTest, to: Homing }}",
-    "Mode {{ from: Homing, to: Coarse }}",
-    "Mode {{ from: Coarse, to: Fine }}",
-    "Mode {{ from: Fine, to: Aligned }}",
-    "Fault(EncoderInvalid)",
-    "Retry {{ attempt: 1 }}",
+    "started by power on",
+    "started by watchdog",
+    "mode idle -> self-test",
+    "mode self-test -> homing",
+    "mode homing -> coarse",
+    "mode coarse -> fine",
+    "mode fine -> aligned",
+    "fault encoder-invalid: the encoder sends no usable angle: check magnet and wiring",
+    "starting again, attempt 1",
 ];
+
+#[test]
+fn the_words_are_those_of_the_unit() {
+    use ModeName::{Aligned, Coarse, Fine, Homing, Idle, SelfTest};
+    let started = [ResetCause::PowerOn, ResetCause::Watchdog].map(|cause| {
+        Start {
+            cause,
+            asked: false,
+            before: None,
+        }
+        .to_string()
+    });
+    let modes = [Idle, SelfTest, Homing, Coarse, Fine, Aligned];
+    let entered = modes.windows(2).map(|pair| Event::Mode {
+        from: pair[0],
+        to: pair[1],
+    });
+    let events = entered.chain([Event::Fault(Fault::EncoderInvalid), Event::Retry { attempt: 1 }]);
+    let said: Vec<String> = started
+        .into_iter()
+        .chain(events.map(|event| event.to_string()))
+        .collect();
+    assert_eq!(said, WORDS);
+    let report = Report {
+        mode: Aligned,
+        attitude_deg: Some([7.25, 0.5, -0.25, 0.9]),
+        rotor_deg: Some(12.34),
+    };
+    assert_eq!(
+        report.to_string(),
+        "aligned     rotor  +12.3 deg, heading   7.25 deg, sd  0.900 deg, pitch  +0.50 deg, roll  -0.25 deg"
+    );
+    assert_eq!(
+        Report {
+            mode: Homing,
+            attitude_deg: None,
+            rotor_deg: None
+        }
+        .to_string(),
+        "homing      rotor unknown"
+    );
+}
 
 /// What happens in the log of these tests, by time: which text, and which word.
 const STORY: [(f64, usize, usize); 13] = [
-    (0.001, STARTED, 0),
+    (0.001, INFO, 0),
     (0.002, INFO, 2),
     (1.2, INFO, 3),
     (4.0, ERROR, 7),
@@ -136,7 +185,7 @@ const STORY: [(f64, usize, usize); 13] = [
     (68.3, INFO, 5),
     (69.8, INFO, 6),
     // A clock that begins anew.
-    (0.001, STARTED, 1),
+    (0.001, INFO, 1),
     (0.002, INFO, 2),
     (1.3, INFO, 3),
 ];
@@ -175,12 +224,13 @@ fn text() -> String {
         if k == 10 {
             for k in 0..ESTIMATES {
                 let [heading, sd, pitch, roll] = figures(k);
-                let line = format!("heading {heading} deg, sd {sd}; pitch {pitch}, roll {roll}");
+                let line = format!(
+                    "aligned     rotor +12.3 deg, heading {heading} deg, sd {sd} deg, pitch {pitch} deg, roll {roll} deg"
+                );
                 put(70.0 + f64::from(k), ESTIMATE, &line);
             }
         }
-        let word = WORDS[*word].replace("{{", "{").replace("}}", "}");
-        put(*t_s, *text, &TEXTS[*text].1.replace("{}", &word));
+        put(*t_s, *text, WORDS[*word]);
     }
     lines
 }
@@ -210,7 +260,7 @@ fn assert_story(timeline: &Timeline) {
     assert_eq!(timeline.state(), "homing");
     assert!((timeline.to_s - 100.3).abs() < 1e-9, "{}", timeline.to_s);
     assert_eq!((timeline.resets, timeline.starts.len()), (1, 2));
-    assert_eq!(timeline.starts[1].cause.as_deref(), Some("Watchdog"));
+    assert_eq!(timeline.starts[1].cause.as_deref(), Some("watchdog"));
     let fault = &timeline.faults[0];
     assert_eq!(
         (fault.name.as_str(), fault.retry, fault.latched),
@@ -260,8 +310,8 @@ fn frames_and_text_tell_the_same() {
 /// Samples that are missing, by a host's log at level debug.
 #[test]
 fn samples_are_counted() {
-    let log = "[    1.000000] DEBUG 3 samples lost, 3 in all\n\
-               [    2.000000] DEBUG 4 samples lost, 7 in all\n\
+    let log = "[    1.000000] INFO  3 samples lost, 3 in all\n\
+               [    2.000000] INFO  4 samples lost, 7 in all\n\
                [    2.000000] DEBUG 20.0 ms without data, bridged\n\
                [    3.000000] DEBUG sample repeated, 1 in all\n\
                [    3.500000] WARN  alignment does not keep up: 2 samples dropped\n\
@@ -305,6 +355,15 @@ fn the_simulated_unit_is_inspected() {
             printed.contains(&format!("{} {:.2} s", span.mode, span.from_s)),
             "{span:?}"
         );
+    }
+    // What the unit does is told at each second, or with the first estimate after it.
+    let seconds = printed
+        .lines()
+        .filter(|line| line.contains(" rotor ") && !line.contains("homed"));
+    for (k, line) in (1..).zip(seconds) {
+        let late_s = line[1..13].trim().parse::<f64>().unwrap() - f64::from(k);
+        let most_s = if line.contains("heading") { 0.1 } else { 1e-3 };
+        assert!((0.0..most_s).contains(&late_s), "{line}");
     }
     // The serial port tells the modes too, and the estimates.
     let port = of_bytes(&fs::read(dir.path().join("port.nmea")).unwrap(), None).unwrap();
@@ -392,7 +451,7 @@ fn the_command_writes_table_csv_chart_and_json() {
         "30 estimates, every 1.00 s",
         "fault at 4.000 s: encoder-invalid",
         "attempt 1 at 4.500 s",
-        "by Watchdog",
+        "by watchdog",
         "1 fault, 1 reset",
     ] {
         assert!(table.contains(part), "{part}: {table}");
@@ -424,7 +483,7 @@ fn the_command_writes_table_csv_chart_and_json() {
 
     // Aligned where the log ends before the reset.
     let text = text();
-    let before = &text[..text.find("started by Watchdog").unwrap() - 20];
+    let before = &text[..text.find("started by watchdog").unwrap() - 20];
     assert_eq!(
         hal_sim(dir.path(), &["inspect", "-"], before.as_bytes()).status.code(),
         Some(0)
@@ -457,7 +516,10 @@ fn a_pipe_is_followed_to_its_end() {
     let output = hal_sim(dir.path(), &["inspect", "--follow", "-"], text().as_bytes());
     let lines = String::from_utf8(output.stdout).unwrap();
     assert!(!lines.contains('\u{1b}'), "{lines}");
-    assert!(lines.contains("     4.000  ERROR Fault(EncoderInvalid)"), "{lines}");
+    assert!(
+        lines.contains("     4.000  ERROR fault encoder-invalid: the encoder sends no usable angle"),
+        "{lines}"
+    );
     assert!(lines.contains("aligned     heading  359.000°  σ  0.9000°"), "{lines}");
     assert!(lines.contains("30 estimates, every 1.00 s"), "{lines}");
     assert_eq!(
@@ -472,7 +534,7 @@ fn a_file_is_followed_while_it_grows() {
     let dir = TempDir::new().unwrap();
     let image = Image::new(dir.path(), &WORDS, 0);
     let path = dir.path().join("run.rtt");
-    fs::write(&path, image.word(0.001, STARTED, "PowerOn")).unwrap();
+    fs::write(&path, image.word(0.001, INFO, WORDS[0])).unwrap();
     let mut child = Command::new(env!("CARGO_BIN_EXE_hal-sim"))
         .current_dir(dir.path())
         .args(["inspect", "--follow", "run.rtt", "--elf", "image-0"])
@@ -480,7 +542,10 @@ fn a_file_is_followed_while_it_grows() {
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    assert_eq!(lines.next().unwrap().unwrap().trim(), "0.001  INFO  started by PowerOn");
+    assert_eq!(
+        lines.next().unwrap().unwrap().trim(),
+        "0.001  INFO  started by power on"
+    );
     let mut file = fs::OpenOptions::new().append(true).open(&path).unwrap();
     let frame = image.estimate(2.0, figures(3));
     file.write_all(&frame[..5]).unwrap();
@@ -488,8 +553,8 @@ fn a_file_is_followed_while_it_grows() {
     let line = lines.next().unwrap().unwrap();
     assert!(line.contains("heading  359.300°"), "{line}");
     // Begun anew.
-    fs::write(&path, image.word(0.001, STARTED, "Watchdog")).unwrap();
-    assert!(lines.next().unwrap().unwrap().ends_with("started by Watchdog"));
+    fs::write(&path, image.word(0.001, INFO, WORDS[1])).unwrap();
+    assert!(lines.next().unwrap().unwrap().ends_with("started by watchdog"));
     child.kill().unwrap();
     let _ = child.wait().unwrap();
 }

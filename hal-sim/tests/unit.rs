@@ -292,7 +292,7 @@ impl Unit {
 fn what_was_wrong_outlives_a_reset() {
     let mut unit = Unit::new(3);
     assert_eq!(unit.run(30.0), []);
-    assert_eq!(unit.said.lines[0], "started by power on");
+    assert_eq!(unit.said.lines[1], "started by power on");
     assert_eq!(unit.asked("faults"), ["ok,no more faults"]);
     unit.session.set_fault(FaultKind::EncoderSilent, true);
     unit.run(0.1);
@@ -332,7 +332,7 @@ fn what_was_wrong_outlives_a_reset() {
     unit.session.reset(ResetCause::PowerOn, &mut unit.said).unwrap();
     assert_eq!(unit.session.records(), []);
     unit.run(1.0);
-    assert_eq!(unit.said.lines[1], "started by power on");
+    assert_eq!(unit.said.lines[2], "started by power on");
 }
 
 /// A home switch that hangs is found as soon as the rotor is told to move by it, or where the edge should have been.

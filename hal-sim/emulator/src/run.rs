@@ -25,12 +25,12 @@ use core::ops::Range;
 use std::collections::VecDeque;
 use std::collections::hash_map::DefaultHasher;
 
-use app::command::ModeName;
 use app::fault::Task;
 use app::rotor::Side;
 use drivers::motor::{Duty, ThreePhase as _};
 use hal_sim::align::Angles;
 use hal_sim::device::{Adis16495, EncoderFaults, ImuFaults, Mt6835, SensorModel as _};
+use hal_sim::inspect::wording::{Told, Wording};
 use hal_sim::plant::{Plant, PlantFaults};
 use hal_sim::scenario::{Buses, Scenario};
 use hal_sim::sensors::{Stream, stream};
@@ -209,6 +209,7 @@ struct World<O> {
     resets_seen: usize,
 
     reader: Reader,
+    wording: Wording,
     splitter: Splitter,
     meter: Meter,
     stack: Stack,
@@ -277,6 +278,7 @@ impl<O: Observer> World<O> {
             hung: false,
             resets_seen: 0,
             reader: Reader::new(image)?,
+            wording: Wording::learn(),
             splitter: Splitter::default(),
             meter: Meter::default(),
             stack,
@@ -487,19 +489,20 @@ impl<O: Observer> World<O> {
     fn line(&mut self, line: Line) {
         line.hash(&mut self.hash);
         let t_s = line.t_ns as f64 * 1e-9;
-        if line.level != "host" {
-            self.silent = false;
-        }
-        if let Some(mode) = mode(&line.text) {
-            self.mode = mode.to_owned();
-            self.modes.push(ModeAt { t_s, mode });
-        }
-        if line.text.starts_with("Fault(") {
-            self.seen.push(FaultSeen {
+        let ours = line.level != "host";
+        self.silent &= !ours;
+        match self.wording.read(&line.text).filter(|_| ours) {
+            Some(Told::Mode(mode)) => {
+                let mode = mode.as_str();
+                self.mode = mode.to_owned();
+                self.modes.push(ModeAt { t_s, mode });
+            }
+            Some(Told::Fault { .. }) => self.seen.push(FaultSeen {
                 t_s,
                 text: line.text.clone(),
                 motor_off: !self.plant.driven(),
-            });
+            }),
+            _ => {}
         }
         self.observer.line(&line);
     }
@@ -733,15 +736,6 @@ fn level(high: bool) -> Level {
     if high { Level::High } else { Level::Low }
 }
 
-/// The mode that a line of the log tells of, `Mode { from: A, to: B }`.
-fn mode(text: &str) -> Option<&'static str> {
-    let to = text.strip_prefix("Mode { ")?.split("to: ").nth(1)?.strip_suffix(" }")?;
-    ModeName::ALL
-        .into_iter()
-        .find(|mode| format!("{mode:?}") == to)
-        .map(ModeName::as_str)
-}
-
 /// What the session has noted of the emulator's gaps.
 fn gaps(session: &Session<Board>) -> Gaps {
     let exticr = |u: &&rigless::session::Unimplemented| u.instance == "SYSCFG" && u.register.starts_with("EXTICR");
@@ -768,17 +762,5 @@ fn gaps(session: &Session<Board>) -> Gaps {
             .filter(|u| !exticr(u))
             .map(|u| format!("{}.{}", u.instance, u.register))
             .collect(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn modes_are_read_from_the_log() {
-        assert_eq!(mode("Mode { from: Idle, to: SelfTest }"), Some("self-test"));
-        assert_eq!(mode("Mode { from: Fine, to: Aligned }"), Some("aligned"));
-        assert_eq!(mode("Homed { angle: 3.1 }"), None);
     }
 }

@@ -289,8 +289,9 @@ mod tests {
 
     #[test]
     fn a_screen_goes_over_the_one_before_and_does_not_wrap() {
-        let log = "1.0 INFO Mode { from: Idle, to: SelfTest }\n2.0 ERROR Fault(ImuTransfer { error: Crc { computed: \
-                   3203386110, received: 3203386111 }, in_row: 3 })\n3.0 INFO heading 7 deg, sd 1; pitch 2, roll 3\n";
+        let log = "1.0 INFO mode idle -> self-test\n\
+                   2.0 ERROR fault imu-transfer: 3 transfers from the IMU failed: CRC 0xbeefbeef received, 0xbeefbeee computed\n\
+                   3.0 INFO fine rotor +1.0 deg, heading 7.00 deg, sd 1.000 deg, pitch +2.00 deg, roll +3.00 deg\n";
         let mut written = Vec::new();
         let timeline = follow(&mut log.as_bytes(), None, true, &mut written).unwrap();
         let mut screen = Screen::default();

@@ -17,8 +17,8 @@
 //! sound in it is told, what is not is counted.
 //!
 //! Times are the unit's, s since it started; after a reset they go on from the last time before it, for how long a unit
-//! was off its log does not tell. Figures are those of the lines; what the log's level leaves out (samples lost are told at
-//! `debug`) is not in it.
+//! was off its log does not tell. Figures are those of the lines; what the log's level leaves out (what was bridged is told
+//! at `debug`) is not in it.
 
 pub mod chart;
 pub mod defmt;

@@ -158,7 +158,7 @@ mod tests {
 
     #[test]
     fn lines_of_each_kind_are_cut() {
-        let text = "heading 335.67188 deg, sd 0.9; pitch -4.98, roll -4.2";
+        let text = "aligned     rotor +129.7 deg, heading 323.54 deg, sd  0.363 deg, pitch  +5.00 deg, roll  -4.72 deg";
         for (raw, t_s) in [
             (format!("69.943000 INFO  {text}"), Some(69.943)),
             (

@@ -192,6 +192,9 @@ pub struct Timeline {
     /// Attitude of the serial line that waits for the time of its second.
     #[serde(skip)]
     attitude: Option<Attitude>,
+    /// The line before was the version: the start is told already, its cause follows.
+    #[serde(skip)]
+    begun: bool,
     /// Whether the log itself tells modes, estimates.
     #[serde(skip)]
     tells: [bool; 2],
@@ -220,6 +223,7 @@ impl Timeline {
             offset_s: 0.0,
             clock_s: None,
             attitude: None,
+            begun: false,
             tells: [false; 2],
         }
     }
@@ -305,7 +309,8 @@ impl Timeline {
         self.lines += 1;
         self.understood += u64::from(told.is_some());
         let (t_s, back) = self.time(line.t_s);
-        if back && !matches!(told, Some(Told::Started { .. })) {
+        let begun = core::mem::replace(&mut self.begun, told == Some(Told::Version));
+        if back && !matches!(told, Some(Told::Started { .. } | Told::Version)) {
             self.start(t_s, None);
         }
         let said = || SaidAt {
@@ -315,7 +320,11 @@ impl Timeline {
         match told {
             None if line.level == Some(Level::Error) => self.errors.push(said()),
             None | Some(Told::Note) => {}
-            Some(Told::Started { cause }) => self.start(t_s, Some(cause)),
+            Some(Told::Version) => self.start(t_s, None),
+            Some(Told::Started { cause }) => match self.starts.last_mut() {
+                Some(start) if begun => start.cause = Some(cause),
+                _ => self.start(t_s, Some(cause)),
+            },
             Some(Told::Mode(mode)) => {
                 self.tells[0] = true;
                 self.enter(t_s, mode);
@@ -443,22 +452,24 @@ mod tests {
     fn a_reset_is_one_by_either_clock() {
         use Level::{Error, Info};
         let before = [
-            (0.001, Info, "started by PowerOn"),
-            (0.002, Info, "Mode { from: Idle, to: SelfTest }"),
-            (1.2, Info, "Mode { from: SelfTest, to: Homing }"),
+            (0.001, Info, "rotary-north 0.1.0"),
+            (0.001, Info, "started by power on"),
+            (0.002, Info, "mode idle -> self-test"),
+            (1.2, Info, "mode self-test -> homing"),
             (9.0, Error, "panic at src/main.rs:12: out of luck"),
         ];
         for (start, mode) in [(0.001, 0.003), (9.1, 9.103)] {
             let mut lines = before.to_vec();
-            lines.push((start, Info, "started by Software"));
-            lines.push((mode, Info, "Mode { from: Idle, to: SelfTest }"));
+            lines.push((start, Info, "rotary-north 0.1.0"));
+            lines.push((start, Info, "started by software"));
+            lines.push((mode, Info, "mode idle -> self-test"));
             let found = timeline(&lines);
             assert_eq!(
                 (found.resets, found.starts.len(), found.errors.len()),
                 (1, 2, 1),
                 "{found:?}"
             );
-            assert_eq!(found.starts[1].cause.as_deref(), Some("Software"));
+            assert_eq!(found.starts[1].cause.as_deref(), Some("software"));
             assert!((9.0..9.2).contains(&found.starts[1].t_s), "{:?}", found.starts);
             let modes: Vec<_> = found.modes.iter().map(|span| span.mode).collect();
             assert_eq!(modes, ["self-test", "homing", "self-test"]);
@@ -467,7 +478,7 @@ mod tests {
         }
         // Where the line of the start is lost the clock still tells.
         let mut lines = before.to_vec();
-        lines.push((1.5, Info, "Encoder"));
+        lines.push((1.5, Info, "encoder answers"));
         let found = timeline(&lines);
         assert_eq!((found.resets, found.starts[1].cause.as_deref()), (1, None));
         assert_eq!(found.state(), "unknown");
@@ -475,7 +486,7 @@ mod tests {
 
     #[test]
     fn sigma_counts_where_it_stays() {
-        let line = |sd: f64| format!("heading 10 deg, sd {sd}; pitch 0, roll 0");
+        let line = |sd: f64| format!("heading 10 deg, sd {sd} deg, pitch 0 deg, roll 0 deg");
         let texts: Vec<String> = [3.0, 0.9, 1.2, 0.8, 0.4].into_iter().map(line).collect();
         let lines: Vec<_> = (0..)
             .map(f64::from)

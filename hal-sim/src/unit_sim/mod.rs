@@ -720,10 +720,11 @@ impl<const B: usize> Breakable for Rc<Bench<B>> {
 fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>, cause: ResetCause) -> Result<(), UnitError> {
     let blackbox = BlackBox::start(bench.ram.clone(), cause, now_ns() / 1000);
     // As the image's main does.
-    log::info!(target: "app", "started by {}", blackbox.started());
+    app::log::started(VERSION, blackbox.started());
     let mut store = Store::new(bench.flash.clone());
     // Reading takes the part no time.
-    let (settings, _) = embassy_futures::block_on(store.load_over(bench.factory));
+    let (settings, report) = embassy_futures::block_on(store.load_over(bench.factory));
+    app::log::settings(&report);
     let shared = Rc::new(Bus::new(VERSION, settings));
     *bench.shared.borrow_mut() = Rc::clone(&shared);
     let timing = |hz| SpiTiming {

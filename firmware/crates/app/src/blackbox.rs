@@ -26,13 +26,13 @@
 //! | the board's panic and hard fault handlers | by [`note`]: nothing but the memory is needed |
 //! | [`BlackBox::start`] | what bit without anybody having noted why |
 
-use core::fmt;
-
 use drivers::crc::crc32;
 use frames::units::DEG;
+use frames::wording;
 
 use crate::command::ModeName;
 use crate::fault::{Fault, Task};
+use crate::figure::deg;
 use crate::hal::ResetCause;
 use crate::nmea::{Line, Sentence};
 
@@ -107,11 +107,11 @@ impl Name {
     }
 }
 
-impl fmt::Display for Name {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.bytes().try_for_each(|byte| write!(f, "{}", char::from(byte)))
+wording!(Name, |self, say| {
+    for byte in self.bytes() {
+        say!("{}", char::from(byte));
     }
-}
+});
 
 /// Why something was recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -311,58 +311,29 @@ fn hex(word: u32) -> impl Iterator<Item = u8> {
     })
 }
 
-impl fmt::Display for Entry {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (name, of) = self.cause.words();
-        match &self.cause {
-            Cause::Fault { task: None, .. } => write!(f, "fault {name}"),
-            Cause::Fault { .. } => write!(f, "fault {name} {of}"),
-            Cause::Panic { file, line } => write!(f, "panic at {file}:{line}"),
-            Cause::HardFault { reasons, at } => write!(f, "hard fault {reasons:#010x} at {at:#010x}"),
-            Cause::Hang | Cause::BrownOut => f.write_str(name),
-        }?;
-        let Doing { mode, t_s, heading_sd } = self.doing;
-        if let Some(mode) = mode {
-            write!(f, " in mode {mode}")?;
-        }
-        write!(f, " after {t_s} s")?;
-        if let Some(sd) = heading_sd {
-            write!(f, ", heading sd {:.2} deg", sd / DEG as f32)?;
-        }
-        match self.count {
-            0 | 1 => Ok(()),
-            count => write!(f, ", {count} times in a row"),
-        }
+wording!(Entry, |self, say| {
+    let (name, of) = self.cause.words();
+    match &self.cause {
+        Cause::Fault { task: None, .. } => say!("fault {}", name),
+        Cause::Fault { .. } => say!("fault {} {}", name, of),
+        Cause::Panic { file, line } => say!("panic at {}:{}", file, line),
+        Cause::HardFault { reasons, at } => say!("hard fault {:#010x} at {:#010x}", reasons, at),
+        Cause::Hang | Cause::BrownOut => say!("{}", name),
     }
-}
-
-#[cfg(feature = "defmt")]
-impl defmt::Format for Entry {
-    fn format(&self, f: defmt::Formatter<'_>) {
-        let (name, of) = self.cause.words();
-        let Doing { mode, t_s, heading_sd } = self.doing;
-        let (fact, at) = match &self.cause {
-            Cause::Panic { line, .. } => (*line, 0),
-            Cause::HardFault { reasons, at } => (*reasons, *at),
-            _ => (0, 0),
-        };
-        // Of a panic the file is on the serial line; the log of before the reset had it as well.
-        defmt::write!(
-            f,
-            "{} {} {=u32}/{=u32:#x} in mode {} after {=u32} s, heading sd {=f32} rad, {=u16} times",
-            name,
-            of,
-            fact,
-            at,
-            mode.map_or("", ModeName::as_str),
-            t_s,
-            heading_sd.unwrap_or(f32::NAN),
-            self.count
-        );
+    let Doing { mode, t_s, heading_sd } = self.doing;
+    if let Some(mode) = mode {
+        say!(" in mode {}", mode);
     }
-}
+    say!(" after {} s", t_s);
+    if let Some(sd) = heading_sd {
+        say!(", heading sd {} deg", deg(sd, 2));
+    }
+    if self.count > 1 {
+        say!(", {} times in a row", self.count);
+    }
+});
 
-/// How the unit came up: what follows "started by" in its log.
+/// How the unit came up.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Start {
     /// Why, by the board.
@@ -373,29 +344,15 @@ pub struct Start {
     pub before: Option<Entry>,
 }
 
-impl fmt::Display for Start {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.cause.fmt(f)?;
-        if self.asked {
-            f.write_str(", as asked")?;
-        }
-        match &self.before {
-            Some(before) => write!(f, "; before: {before}"),
-            None => Ok(()),
-        }
+wording!(Start, |self, say| {
+    say!("started by {}", self.cause);
+    if self.asked {
+        say!(", as asked");
     }
-}
-
-#[cfg(feature = "defmt")]
-impl defmt::Format for Start {
-    fn format(&self, f: defmt::Formatter<'_>) {
-        let asked = if self.asked { ", as asked" } else { "" };
-        match &self.before {
-            Some(before) => defmt::write!(f, "{}{}; before: {}", self.cause, asked, before),
-            None => defmt::write!(f, "{}{}", self.cause, asked),
-        }
+    if let Some(before) = &self.before {
+        say!("; before: {}", before);
     }
-}
+});
 
 /// What is counted over resets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -1,10 +1,9 @@
 //! What the unit is told, and what it calls its modes: the words that log, modes and wire share.
 
-use core::fmt;
+use frames::wording;
 
 /// What the unit is told to do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Command {
     /// Stop the rotor and rest.
     Stop,
@@ -24,7 +23,6 @@ pub enum Command {
 
 /// Names of the modes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[allow(missing_docs, reason = "as in Mode")]
 pub enum ModeName {
     Idle,
@@ -49,6 +47,19 @@ impl Command {
         Self::ResetFault,
         Self::Restart,
     ];
+
+    /// As it is typed.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Stop => "stop",
+            Self::Align => "align",
+            Self::Calibrate => "calibrate",
+            Self::Navigate => "navigate",
+            Self::SelfTest => "selftest",
+            Self::ResetFault => "reset",
+            Self::Restart => "restart",
+        }
+    }
 }
 
 impl ModeName {
@@ -79,9 +90,7 @@ impl ModeName {
             Self::Fault => "fault",
         }
     }
-}
 
-impl ModeName {
     /// [`ModeName::as_str`] with blanks, for a column: the longest has eleven letters.
     pub const fn column(self) -> &'static str {
         match self {
@@ -98,8 +107,38 @@ impl ModeName {
     }
 }
 
-impl fmt::Display for ModeName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
+wording!(ModeName, |self, say| {
+    say!("{}", self.as_str());
+});
+
+wording!(Command, |self, say| {
+    say!("{}", self.as_str());
+});
+
+#[cfg(test)]
+mod tests {
+    use std::string::ToString as _;
+
+    use super::*;
+    use crate::console::{self, Request};
+
+    #[test]
+    fn a_command_is_told_as_it_is_typed() {
+        for command in Command::ALL {
+            let typed = command.to_string();
+            assert_eq!(
+                console::parse(typed.as_bytes()),
+                Ok(Some(Request::Unit(command))),
+                "{typed}"
+            );
+        }
+    }
+
+    #[test]
+    fn columns_are_equal() {
+        for mode in ModeName::ALL {
+            assert_eq!(mode.column().trim_end(), mode.to_string());
+            assert_eq!(mode.column().len(), ModeName::Calibrating.column().len());
+        }
     }
 }

@@ -7,11 +7,11 @@
 //!
 //! Times are for the default configuration: 202.4 samples and 1000 ticks of the motor a second.
 
-use core::fmt;
-
 use drivers::mt6835::Warnings;
 use drivers::{Channels, Error, SystemFlags};
+use frames::wording;
 
+use crate::figure::figure;
 use crate::rotor::{Refused, RotorFault};
 use crate::selftest::Failure;
 
@@ -48,7 +48,6 @@ impl Task {
 
 /// What is wrong, with the facts.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Fault {
     /// No data-ready edge.
     ImuSilent {
@@ -277,55 +276,50 @@ impl From<RotorFault> for Fault {
     }
 }
 
-impl fmt::Display for Fault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::ImuSilent { waited_us } => {
-                write!(
-                    f,
-                    "no data-ready for {waited_us} us: check the line and the IMU's supply"
-                )
-            }
-            Self::ImuTransfer { error, in_row } => write!(f, "{in_row} transfers from the IMU failed: {error}"),
-            Self::ImuSaturated { channels, in_row } => {
-                write!(
-                    f,
-                    "{channels} at the end of range for {in_row} samples: the unit moves too fast"
-                )
-            }
-            Self::ImuStuck { in_row } => write!(f, "the IMU repeats one sample, {in_row} times"),
-            Self::ImuRestarted => f.write_str("the IMU has restarted: check its supply"),
-            Self::ImuFlags { flags } => write!(f, "the IMU reports {:#06x}", flags.bits()),
-            Self::OverTemperature { temperature_c } => {
-                write!(f, "the IMU is at {temperature_c:.0} degC: let it cool")
-            }
-            Self::Clock {
-                expected_us,
-                measured_us,
-            } => write!(
-                f,
-                "samples come every {measured_us:.1} us instead of {expected_us:.1}: check the crystal and DEC_RATE"
-            ),
-            Self::EncoderInvalid => RotorFault::EncoderInvalid.fmt(f),
-            Self::EncoderFrozen => RotorFault::EncoderFrozen.fmt(f),
-            Self::EncoderWarning { warnings } => write!(
-                f,
-                "the encoder warns ({:#05b}): check magnet, distance and supply",
-                warnings.bits()
-            ),
-            Self::Driver => RotorFault::Driver.fmt(f),
-            Self::Stall { rotor } | Self::Rotor(rotor) => rotor.fmt(f),
-            Self::RotorRefused(refused) => refused.fmt(f),
-            Self::TaskOverrun { task, silent_ms } => {
-                write!(f, "task {} silent for {silent_ms} ms: the unit will reset", task.name())
-            }
-            Self::SelfTest(failure) => write!(f, "self-test: {failure}"),
-            Self::BootLoop { crashes } => write!(
-                f,
-                "{crashes} crashes in a row: the motor stays off until reset by command"
-            ),
+wording!(Fault, |self, say| {
+    match *self {
+        Self::ImuSilent { waited_us } => say!(
+            "no data-ready for {} us: check the line and the IMU's supply",
+            waited_us
+        ),
+        Self::ImuTransfer { error, in_row } => say!("{} transfers from the IMU failed: {}", in_row, error),
+        Self::ImuSaturated { channels, in_row } => say!(
+            "{} at the end of range for {} samples: the unit moves too fast",
+            channels,
+            in_row
+        ),
+        Self::ImuStuck { in_row } => say!("the IMU repeats one sample, {} times", in_row),
+        Self::ImuRestarted => say!("the IMU has restarted: check its supply"),
+        Self::ImuFlags { flags } => say!("the IMU reports {:#06x}", flags.bits()),
+        Self::OverTemperature { temperature_c } => {
+            say!("the IMU is at {} degC: let it cool", figure(temperature_c, 0));
         }
+        Self::Clock {
+            expected_us,
+            measured_us,
+        } => say!(
+            "samples come every {} us instead of {}: check the crystal and DEC_RATE",
+            figure(measured_us, 1),
+            figure(expected_us, 1)
+        ),
+        Self::EncoderInvalid => say!("{}", RotorFault::EncoderInvalid),
+        Self::EncoderFrozen => say!("{}", RotorFault::EncoderFrozen),
+        Self::EncoderWarning { warnings } => say!(
+            "the encoder warns ({:#05b}): check magnet, distance and supply",
+            warnings.bits()
+        ),
+        Self::Driver => say!("{}", RotorFault::Driver),
+        Self::Stall { rotor } | Self::Rotor(rotor) => say!("{}", rotor),
+        Self::RotorRefused(refused) => say!("{}", refused),
+        Self::TaskOverrun { task, silent_ms } => {
+            say!("task {} silent for {} ms: the unit will reset", task.name(), silent_ms);
+        }
+        Self::SelfTest(failure) => say!("{}", failure),
+        Self::BootLoop { crashes } => say!(
+            "{} crashes in a row: the motor stays off until reset by command",
+            crashes
+        ),
     }
-}
+});
 
 impl core::error::Error for Fault {}

@@ -155,7 +155,6 @@ pub trait Watchdog {
 
 /// Why the unit started.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ResetCause {
     /// The supply came.
     PowerOn,
@@ -171,15 +170,13 @@ pub enum ResetCause {
     Unknown,
 }
 
-impl core::fmt::Display for ResetCause {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(match self {
-            Self::PowerOn => "power on",
-            Self::BrownOut => "brown-out",
-            Self::Watchdog => "watchdog",
-            Self::Pin => "reset line",
-            Self::Software => "software",
-            Self::Unknown => "unknown",
-        })
+frames::wording!(ResetCause, |self, say| {
+    match self {
+        Self::PowerOn => say!("power on"),
+        Self::BrownOut => say!("brown-out"),
+        Self::Watchdog => say!("watchdog"),
+        Self::Pin => say!("reset line"),
+        Self::Software => say!("software"),
+        Self::Unknown => say!("unknown"),
     }
-}
+});

@@ -43,6 +43,7 @@ pub mod blackbox;
 pub mod command;
 pub mod console;
 pub mod fault;
+mod figure;
 pub mod hal;
 pub mod log;
 pub mod mode;

@@ -1,20 +1,21 @@
-//! What the unit tells: typed events, and the macros that carry them to defmt on the target and to the
-//! `log` crate on a host.
+//! What the unit tells: typed events, carried to defmt on the target and to the `log` crate on a host.
 //!
-//! Only `{}` and `{:?}` are understood by both.
-
-use core::fmt;
+//! One text for both: each type in here, and each that stands in one of its texts, has it from [`frames::wording!`].
 
 use drivers::sequence::Tally;
 use drivers::{Error, Identity};
 use frames::units::{ARC_MIN, DEG, DEG_PER_HOUR, PPM};
+use frames::wording;
 use nav::aligner;
 use nav::calibration::{Calibration, CalibrationError};
 use nav::navigator::NavigatorError;
 
+use crate::blackbox::Start;
 use crate::command::{Command, ModeName};
 use crate::fault::Fault;
+use crate::figure::{deg, figure};
 use crate::selftest::Found;
+use crate::settings;
 
 /// One line of the given level; with neither feature its arguments are only looked at.
 macro_rules! line {
@@ -28,9 +29,21 @@ macro_rules! line {
     }};
 }
 
+/// The first lines: of which version the program is, and how the unit came up.
+pub fn started(version: &str, start: &Start) {
+    line!(info, "rotary-north {}", version);
+    line!(info, "{}", start);
+}
+
+/// A line for each group of settings that is not as it was last saved.
+pub fn settings(report: &settings::Report) {
+    for (group, origin) in report.wanting() {
+        line!(warn, "settings: {} {}", group, origin);
+    }
+}
+
 /// Something worth a line.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Event {
     /// From one mode to the next.
     Mode {
@@ -59,6 +72,8 @@ pub enum Event {
     Alignment(Alignment),
     /// The gyros are calibrated; samples are corrected from here on.
     GyrosCalibrated(GyrosCalibrated),
+    /// The biases that were found with it.
+    GyroBiases(GyrosCalibrated),
     /// They are not; what was known before still holds.
     NotCalibrated(CalibrationFailure),
     /// Navigation cannot go on, and the unit aligns anew.
@@ -130,86 +145,22 @@ impl Report {
     }
 }
 
-/// A number with so many digits behind the point. defmt has no such format.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Fixed<const DIGITS: u32> {
-    negative: bool,
-    whole: u16,
-    fraction: u16,
-}
-
-impl<const DIGITS: u32> Fixed<DIGITS> {
-    /// What is no number is told as more than any angle.
-    fn new(x: f32) -> Self {
-        let scale = 10_u32.pow(DIGITS);
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "saturates; NaN is made the greatest before"
-        )]
-        let steps = (x.abs().min(999.9) * scale as f32 + 0.5) as u32;
-        #[expect(clippy::cast_possible_truncation, reason = "below 1000 both, as DIGITS is at most 3")]
-        Self {
-            negative: x < 0.0 && steps > 0,
-            whole: (steps / scale) as u16,
-            fraction: (steps % scale) as u16,
-        }
+wording!(Report, |self, say| {
+    say!("{}", self.mode.column());
+    match self.rotor_deg {
+        Some(rotor) => say!(" rotor {} deg", figure(rotor, 1).signed().column(3)),
+        None => say!(" rotor unknown"),
     }
-
-    const fn sign(self) -> &'static str {
-        if self.negative { "-" } else { "+" }
+    if let Some([heading, pitch, roll, sd]) = self.attitude_deg {
+        say!(", heading {} deg", figure(heading, 2).column(3));
+        say!(", sd {} deg", figure(sd, 3).column(2));
+        say!(", pitch {} deg", figure(pitch, 2).signed().column(2));
+        say!(", roll {} deg", figure(roll, 2).signed().column(2));
     }
-}
-
-impl fmt::Display for Report {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.mode.column())?;
-        if let Some([heading, pitch, roll, sd]) = self.attitude_deg {
-            let (h, sd) = (Fixed::<2>::new(heading), Fixed::<3>::new(sd));
-            let (p, r) = (Fixed::<2>::new(pitch), Fixed::<2>::new(roll));
-            write!(
-                f,
-                " heading {:03}.{:02} deg, sd {}.{:03}",
-                h.whole, h.fraction, sd.whole, sd.fraction
-            )?;
-            write!(f, ", pitch {}{:02}.{:02}", p.sign(), p.whole, p.fraction)?;
-            write!(f, ", roll {}{:02}.{:02}", r.sign(), r.whole, r.fraction)?;
-        }
-        match self.rotor_deg.map(Fixed::<1>::new) {
-            Some(a) => write!(f, " rotor {}{:03}.{}", a.sign(), a.whole, a.fraction),
-            None => f.write_str(" rotor unknown"),
-        }
-    }
-}
-
-#[cfg(feature = "defmt")]
-impl defmt::Format for Report {
-    fn format(&self, f: defmt::Formatter<'_>) {
-        defmt::write!(f, "{=str}", self.mode.column());
-        if let Some([heading, pitch, roll, sd]) = self.attitude_deg {
-            let (h, sd) = (Fixed::<2>::new(heading), Fixed::<3>::new(sd));
-            let (p, r) = (Fixed::<2>::new(pitch), Fixed::<2>::new(roll));
-            defmt::write!(
-                f,
-                " heading {=u16:03}.{=u16:02} deg, sd {=u16}.{=u16:03}",
-                h.whole,
-                h.fraction,
-                sd.whole,
-                sd.fraction
-            );
-            defmt::write!(f, ", pitch {=str}{=u16:02}.{=u16:02}", p.sign(), p.whole, p.fraction);
-            defmt::write!(f, ", roll {=str}{=u16:02}.{=u16:02}", r.sign(), r.whole, r.fraction);
-        }
-        match self.rotor_deg.map(Fixed::<1>::new) {
-            Some(a) => defmt::write!(f, " rotor {=str}{=u16:03}.{=u16}", a.sign(), a.whole, a.fraction),
-            None => defmt::write!(f, " rotor unknown"),
-        }
-    }
-}
+});
 
 /// What the calibration of the gyros has found, in the units of people.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GyrosCalibrated {
     /// Biases, °/h; with Earth's rate in them, and left where they are, where that was not known.
     pub bias_deg_h: [f32; 3],
@@ -241,7 +192,6 @@ impl GyrosCalibrated {
 
 /// Why the gyros are not calibrated.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CalibrationFailure {
     /// The rotor moved while it should have stood.
     RotorMoved,
@@ -266,23 +216,20 @@ impl From<CalibrationError> for CalibrationFailure {
     }
 }
 
-impl fmt::Display for CalibrationFailure {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::RotorMoved => f.write_str("the rotor moved while it should have stood"),
-            Self::BaseMoved { scatter } => write!(
-                f,
-                "the base moves, residuals have {scatter:.1} times their variance: set the unit on firm ground"
-            ),
-            Self::Refused => f.write_str("samples or figures that cannot be"),
-            Self::Timeout => f.write_str("it took too long"),
-        }
+wording!(CalibrationFailure, |self, say| {
+    match *self {
+        Self::RotorMoved => say!("the rotor moved while it should have stood"),
+        Self::BaseMoved { scatter } => say!(
+            "the base moves, residuals have {} times their variance: set the unit on firm ground",
+            figure(scatter, 1)
+        ),
+        Self::Refused => say!("samples or figures that cannot be"),
+        Self::Timeout => say!("it took too long"),
     }
-}
+});
 
 /// Why navigation ended.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum NavigationEnd {
     /// Nothing to begin from.
     NotAligned,
@@ -307,20 +254,17 @@ impl From<NavigatorError> for NavigationEnd {
     }
 }
 
-impl fmt::Display for NavigationEnd {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::NotAligned => f.write_str("there is no estimate to begin from"),
-            Self::Gap { length } => write!(f, "{length:.3} s without data"),
-            Self::BadSample => f.write_str("an impossible sample"),
-            Self::Lost => f.write_str("place or velocity are impossible"),
-        }
+wording!(NavigationEnd, |self, say| {
+    match *self {
+        Self::NotAligned => say!("there is no estimate to begin from"),
+        Self::Gap { length } => say!("{} s without data", figure(length, 3)),
+        Self::BadSample => say!("an impossible sample"),
+        Self::Lost => say!("place or velocity are impossible"),
     }
-}
+});
 
 /// What the aligner told, in the units of people.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Alignment {
     /// Coarse alignment has succeeded.
     CoarseDone {
@@ -399,88 +343,92 @@ impl From<&aligner::Event> for Alignment {
     }
 }
 
-impl fmt::Display for Alignment {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::CoarseDone { heading_deg, sd_deg } => {
-                write!(f, "coarse alignment: heading {heading_deg:.2} deg, sd {sd_deg:.2}")
-            }
-            Self::CaughtUp => f.write_str("fine filter is live"),
-            Self::Aligned => f.write_str("aligned"),
-            Self::HeadingSd { sd_deg } => write!(f, "no longer aligned: heading sd {sd_deg:.2} deg"),
-            Self::Ambiguous { heading_offset_deg } => {
-                write!(
-                    f,
-                    "no longer aligned: a heading {heading_offset_deg:.1} deg off fits as well"
-                )
-            }
-            Self::Inconsistent { ratio } => write!(
-                f,
-                "no longer aligned: innovations are {ratio:.1} times the model's variance; does the base move?"
-            ),
-            Self::Collecting => f.write_str("collecting"),
-            Self::Bridged { ms } => write!(f, "{ms:.1} ms without data, bridged"),
-            Self::RestartedCoarse => f.write_str("starting anew: coarse alignment found no attitude"),
-            Self::RestartedGap { length } => write!(f, "starting anew: {length:.3} s without data"),
-            Self::RestartedBadSample => f.write_str("starting anew: an impossible sample"),
-            Self::RestartedDiverged => f.write_str("starting anew: the fine filter diverged"),
-            Self::UnderWay { speed } => write!(f, "starting anew once the base stands: it makes {speed:.1} m/s"),
-        }
+wording!(Alignment, |self, say| {
+    match *self {
+        Self::CoarseDone { heading_deg, sd_deg } => say!(
+            "coarse alignment: heading {} deg, sd {} deg",
+            figure(heading_deg, 2),
+            figure(sd_deg, 2)
+        ),
+        Self::CaughtUp => say!("fine filter is live"),
+        Self::Aligned => say!("aligned"),
+        Self::HeadingSd { sd_deg } => say!("no longer aligned: heading sd {} deg", figure(sd_deg, 2)),
+        Self::Ambiguous { heading_offset_deg } => say!(
+            "no longer aligned: a heading {} deg off fits as well",
+            figure(heading_offset_deg, 1)
+        ),
+        Self::Inconsistent { ratio } => say!(
+            "no longer aligned: innovations are {} times the model's variance; does the base move?",
+            figure(ratio, 1)
+        ),
+        Self::Collecting => say!("collecting"),
+        Self::Bridged { ms } => say!("{} ms without data, bridged", figure(ms, 1)),
+        Self::RestartedCoarse => say!("starting anew: coarse alignment found no attitude"),
+        Self::RestartedGap { length } => say!("starting anew: {} s without data", figure(length, 3)),
+        Self::RestartedBadSample => say!("starting anew: an impossible sample"),
+        Self::RestartedDiverged => say!("starting anew: the fine filter diverged"),
+        Self::UnderWay { speed } => say!("starting anew once the base stands: it makes {} m/s", figure(speed, 1)),
     }
-}
+});
 
-impl fmt::Display for Event {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let deg = |x: f32| x / DEG as f32;
-        match self {
-            Self::Mode { from, to } => write!(f, "mode {from} -> {to}"),
-            Self::Imu(id) => write!(
-                f,
-                "IMU {} revision {:#06x} serial {} configured",
-                id.product, id.revision, id.serial
-            ),
-            Self::Encoder => f.write_str("encoder answers"),
-            Self::Inspected(found) => write!(
-                f,
-                "at start: f {:.4} m/s2, rate {:.4} deg/s, sd {:.4}",
-                found.gravity,
-                deg(found.rate),
-                deg(found.rate_sd)
-            ),
-            Self::Calibrated { offset } => write!(f, "motor calibrated: electrical offset {:.2} deg", deg(*offset)),
-            Self::Homed { angle } => write!(f, "homed: rotor at {:.2} deg", deg(*angle)),
-            Self::Alignment(told) => told.fmt(f),
-            Self::GyrosCalibrated(found) => {
-                let ([x, y, z], [kx, ky]) = (found.bias_deg_h, found.misalignment_arcmin);
-                write!(
-                    f,
-                    "gyros calibrated: z scale factor {:.0} ppm, x and y take {kx:.2}' and {ky:.2}' of z, sd {:.0} ppm; \
-                     biases {x:.2} {y:.2} {z:.2} deg/h {}, sd {:.2}",
-                    found.scale_factor_ppm,
-                    found.column_sd_ppm,
-                    if found.biases_used {
-                        "taken off"
-                    } else {
-                        "with Earth's rate, left"
-                    },
-                    found.bias_sd_deg_h
-                )
-            }
-            Self::NotCalibrated(failure) => write!(f, "gyros not calibrated: {failure}"),
-            Self::NavigationEnded(why) => write!(f, "aligning anew, navigation cannot go on: {why}"),
-            Self::Fault(fault) => write!(f, "fault {}: {fault}", fault.name()),
-            Self::Retry { attempt } => write!(f, "starting again, attempt {attempt}"),
-            Self::Latched => f.write_str("fault latched: reset it by command"),
-            Self::Lost { samples, tally } => write!(f, "{samples} samples lost, {} in all", tally.lost),
-            Self::Repeated { tally } => write!(f, "sample repeated, {} in all", tally.repeated),
-            Self::Transfer(error) => write!(f, "sample lost: {error}"),
-            Self::Overrun { samples } => write!(f, "alignment does not keep up: {samples} samples dropped"),
-            Self::Command(command) => write!(f, "command {command:?}"),
-            Self::Refused { command, mode } => write!(f, "command {command:?} makes no sense in mode {mode}"),
-            Self::Report(report) => report.fmt(f),
+wording!(Event, |self, say| {
+    match self {
+        Self::Mode { from, to } => say!("mode {} -> {}", from, to),
+        Self::Imu(id) => say!(
+            "IMU {} revision {:#06x} serial {} configured",
+            id.product,
+            id.revision,
+            id.serial
+        ),
+        Self::Encoder => say!("encoder answers"),
+        Self::Inspected(found) => say!(
+            "at start: force {} m/s2, rate {} deg/s, sd {} deg/s",
+            figure(found.gravity, 4),
+            deg(found.rate, 4),
+            deg(found.rate_sd, 4)
+        ),
+        Self::Calibrated { offset } => say!("motor calibrated: electrical offset {} deg", deg(*offset, 2)),
+        Self::Homed { angle } => say!("homed: rotor at {} deg", deg(*angle, 2)),
+        Self::Alignment(told) => say!("{}", told),
+        Self::GyrosCalibrated(found) => {
+            let [x, y] = found.misalignment_arcmin.map(|angle| figure(angle, 2).signed());
+            say!(
+                "gyros calibrated: z scale factor {} ppm, x and y take {}' and {}' of z, sd {} ppm",
+                figure(found.scale_factor_ppm, 0).signed(),
+                x,
+                y,
+                figure(found.column_sd_ppm, 0)
+            );
         }
+        Self::GyroBiases(found) => {
+            let [x, y, z] = found.bias_deg_h.map(|bias| figure(bias, 2).signed());
+            say!(
+                "gyro biases {}: {} {} {} deg/h, sd {} deg/h",
+                if found.biases_used {
+                    "taken off"
+                } else {
+                    "left, Earth's rate in them"
+                },
+                x,
+                y,
+                z,
+                figure(found.bias_sd_deg_h, 2)
+            );
+        }
+        Self::NotCalibrated(failure) => say!("gyros not calibrated: {}", failure),
+        Self::NavigationEnded(why) => say!("aligning anew, navigation cannot go on: {}", why),
+        Self::Fault(fault) => say!("fault {}: {}", fault.name(), fault),
+        Self::Retry { attempt } => say!("starting again, attempt {}", attempt),
+        Self::Latched => say!("fault latched: reset it by command"),
+        Self::Lost { samples, tally } => say!("{} samples lost, {} in all", samples, tally.lost),
+        Self::Repeated { tally } => say!("sample repeated, {} in all", tally.repeated),
+        Self::Transfer(error) => say!("sample lost: {}", error),
+        Self::Overrun { samples } => say!("alignment does not keep up: {} samples dropped", samples),
+        Self::Command(command) => say!("command {}", command),
+        Self::Refused { command, mode } => say!("command {} makes no sense in mode {}", command, mode),
+        Self::Report(report) => say!("{}", report),
     }
-}
+});
 
 /// How grave an event is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

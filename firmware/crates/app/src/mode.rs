@@ -377,6 +377,7 @@ impl State {
             }
             (Mode::Calibrating(Calibrating::Turning), Input::GyrosCalibrated(Ok(found))) => {
                 act(a, Action::Tell(Event::GyrosCalibrated(found)));
+                act(a, Action::Tell(Event::GyroBiases(found)));
                 goal = Goal::Align;
                 rest(a)
             }
@@ -535,7 +536,8 @@ fn fault_in(mode: Mode, fault: Fault, attempts: u8, a: &mut Actions) -> Mode {
     }
     act(a, Action::Job(Job::Idle));
     act(a, Action::Tell(Event::Fault(fault)));
-    if latched {
+    // What ends in a reset waits for no command.
+    if latched && response != Response::Reset {
         act(a, Action::Tell(Event::Latched));
     }
     Mode::Fault(Faulted { fault, latched })
@@ -813,6 +815,22 @@ mod tests {
             let (state, actions) = in_mode(mode).step(&Input::Fault(Fault::EncoderInvalid), 5);
             assert_eq!(actions.first(), Some(&Action::Cut));
             assert!(matches!(state.mode, Mode::Fault(_)));
+        }
+    }
+
+    #[test]
+    fn who_reads_that_a_fault_is_latched_can_reset_it() {
+        let clock = Fault::Clock {
+            expected_us: 4940.0,
+            measured_us: 5100.0,
+        };
+        let overrun = Fault::TaskOverrun {
+            task: crate::fault::Task::Motor,
+            silent_ms: 21,
+        };
+        for (fault, told) in [(clock, true), (overrun, false), (Fault::Driver, false)] {
+            let (_, actions) = in_mode(Mode::Fine).step(&Input::Fault(fault), 5);
+            assert_eq!(actions.contains(&Action::Tell(Event::Latched)), told, "{fault}");
         }
     }
 

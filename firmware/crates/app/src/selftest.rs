@@ -11,11 +11,11 @@
 //! On a base that swings nothing can be said of Earth's rate in a second: it is judged only where the
 //! spread of the rate shows rest.
 
-use core::fmt;
-
 use drivers::Error;
-use frames::{Sensor, Vec3, math, units};
+use frames::{Sensor, Vec3, math, units, wording};
 use nav::increment::Sample;
+
+use crate::figure::{deg, deg_h, figure};
 
 /// What the inspection of the first samples is judged by.
 ///
@@ -59,7 +59,6 @@ impl Default for InspectionConfig {
 
 /// What was found in the first samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Found {
     /// Magnitude of the mean specific force, m/s².
     pub gravity: f32,
@@ -71,7 +70,6 @@ pub struct Found {
 
 /// Why the self-test failed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Failure {
     /// The IMU.
     Imu(Error),
@@ -109,38 +107,27 @@ pub enum Failure {
     },
 }
 
-impl fmt::Display for Failure {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Imu(error) => write!(f, "IMU: {error}"),
-            Self::Encoder(error) => write!(f, "encoder: {error}"),
-            Self::Gravity { found, expected } => write!(
-                f,
-                "specific force is {found:.3} m/s2, gravity {expected:.3}: check the accelerometers' range"
-            ),
-            Self::EarthRate { found, most } => write!(
-                f,
-                "rate at rest is {:.1} deg/h, at most {:.1} can be: check the gyros",
-                found / units::DEG_PER_HOUR as f32,
-                most / units::DEG_PER_HOUR as f32
-            ),
-            Self::Rate { found } => write!(f, "the unit turns at {:.0} deg/s", found / units::DEG as f32),
-            Self::NoNoise => f.write_str("a gyro gives no signal at all"),
-            Self::Timeout {
-                imu,
-                encoder,
-                inspected,
-            } => {
-                let part = match (imu, encoder, inspected) {
-                    (false, _, _) => "the IMU's start",
-                    (_, false, _) => "the encoder's start",
-                    _ => "the inspection of the samples",
-                };
-                write!(f, "{part} did not end in time")
-            }
-        }
+wording!(Failure, |self, say| {
+    match *self {
+        Self::Imu(error) => say!("IMU: {}", error),
+        Self::Encoder(error) => say!("encoder: {}", error),
+        Self::Gravity { found, expected } => say!(
+            "specific force is {} m/s2, gravity {}: check the accelerometers' range",
+            figure(found, 3),
+            figure(expected, 3)
+        ),
+        Self::EarthRate { found, most } => say!(
+            "rate at rest is {} deg/h, at most {} can be: check the gyros",
+            deg_h(found),
+            deg_h(most)
+        ),
+        Self::Rate { found } => say!("the unit turns at {} deg/s", deg(found, 0)),
+        Self::NoNoise => say!("a gyro gives no signal at all"),
+        Self::Timeout { imu: false, .. } => say!("the IMU's start did not end in time"),
+        Self::Timeout { encoder: false, .. } => say!("the encoder's start did not end in time"),
+        Self::Timeout { .. } => say!("the inspection of the samples did not end in time"),
     }
-}
+});
 
 /// Means and spreads of the first samples.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,14 +1,12 @@
 //! What can go wrong between a driver and its device.
 
-use core::fmt;
-
 use embedded_hal::{digital, spi};
+use frames::wording;
 
 use crate::Channels;
 
 /// Why a driver has no result. One enum for the crate: the supervisor treats all devices alike.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Error {
     /// The SPI peripheral reported an error.
     Bus(spi::ErrorKind),
@@ -99,57 +97,60 @@ impl Error {
     }
 }
 
-impl fmt::Display for Error {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::Bus(kind) => write!(f, "SPI error {kind:?}: check the clock rate and the DMA channel"),
-            Self::Pin(kind) => write!(f, "pin error {kind:?}: check the port expander or the board file"),
-            Self::Silent { level } => write!(
-                f,
-                "every byte reads {level:#04x}: check supply, chip select and MISO of the device"
-            ),
-            Self::WhoAmI { expected, found } => write!(
-                f,
-                "identity {found:#06x} where {expected:#06x} belongs: check the part fitted, the SPI mode and chip select"
-            ),
-            Self::Model { expected, found } => write!(
-                f,
-                "range code {found:#06x} where {expected:#06x} belongs: another model is fitted, use its scale factors"
-            ),
-            Self::Register { address, wrote, read } => write!(
-                f,
-                "register {address:#06x} reads {read:#06x} after writing {wrote:#06x}: reset the part and configure again"
-            ),
-            Self::Config { address, value } => write!(
-                f,
-                "{value:#06x} is no setting for register {address:#06x}: correct the configuration"
-            ),
-            Self::Acknowledge { expected, found } => write!(
-                f,
-                "write acknowledged with {found:#04x} instead of {expected:#04x}: check MOSI and the SPI mode, then retry"
-            ),
-            Self::Header { found } => write!(
-                f,
-                "burst begins with {found:#06x}: select page 0, keep the stall time, retry once"
-            ),
-            Self::Crc { computed, received } => write!(
-                f,
-                "CRC {received:#x} received, {computed:#x} computed: drop the sample; if it persists shorten the lines or lower the clock"
-            ),
-            Self::SelfTest { failed } => write!(
-                f,
-                "self-test failed on {failed}: repeat at rest, replace the part if it persists"
-            ),
-            Self::Invalid { channels } => write!(f, "no valid data on {channels}: wait for the sensor to start"),
-            Self::Restarted { status } => {
-                write!(f, "the part was reset (status {status:#06x}): configure it again")
-            }
-            Self::DriverFault => f.write_str(
-                "motor driver reports a fault: leave it off, check supply, current and temperature, then reset it",
-            ),
+wording!(Error, |self, say| {
+    match *self {
+        Self::Bus(kind) => say!("SPI error {:?}: check the clock rate and the DMA channel", kind),
+        Self::Pin(kind) => say!("pin error {:?}: check the port expander or the board file", kind),
+        Self::Silent { level } => say!(
+            "every byte reads {:#04x}: check supply, chip select and MISO of the device",
+            level
+        ),
+        Self::WhoAmI { expected, found } => say!(
+            "identity {:#06x} where {:#06x} belongs: check the part fitted, the SPI mode and chip select",
+            found,
+            expected
+        ),
+        Self::Model { expected, found } => say!(
+            "range code {:#06x} where {:#06x} belongs: another model is fitted, use its scale factors",
+            found,
+            expected
+        ),
+        Self::Register { address, wrote, read } => say!(
+            "register {:#06x} reads {:#06x} after writing {:#06x}: reset the part and configure again",
+            address,
+            read,
+            wrote
+        ),
+        Self::Config { address, value } => say!(
+            "{:#06x} is no setting for register {:#06x}: correct the configuration",
+            value,
+            address
+        ),
+        Self::Acknowledge { expected, found } => say!(
+            "write acknowledged with {:#04x} instead of {:#04x}: check MOSI and the SPI mode, then retry",
+            found,
+            expected
+        ),
+        Self::Header { found } => say!(
+            "burst begins with {:#06x}: select page 0, keep the stall time, retry once",
+            found
+        ),
+        Self::Crc { computed, received } => say!(
+            "CRC {:#x} received, {:#x} computed: drop the sample; if it persists shorten the lines or lower the clock",
+            received,
+            computed
+        ),
+        Self::SelfTest { failed } => say!(
+            "self-test failed on {}: repeat at rest, replace the part if it persists",
+            failed
+        ),
+        Self::Invalid { channels } => say!("no valid data on {}: wait for the sensor to start", channels),
+        Self::Restarted { status } => say!("the part was reset (status {:#06x}): configure it again", status),
+        Self::DriverFault => {
+            say!("motor driver reports a fault: leave it off, check supply, current and temperature, then reset it")
         }
     }
-}
+});
 
 impl core::error::Error for Error {}
 

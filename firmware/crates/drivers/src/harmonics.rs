@@ -35,7 +35,6 @@ pub struct Harmonic {
 
 /// Why a table is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum HarmonicsError {
     /// An amplitude or phase is not a number, or infinite.
     NotFinite {
@@ -46,19 +45,17 @@ pub enum HarmonicsError {
     NotMonotonic,
 }
 
-impl core::fmt::Display for HarmonicsError {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::NotFinite { row } => write!(
-                f,
-                "row {row} of the encoder table is not a number: measure the table anew"
-            ),
-            Self::NotMonotonic => {
-                f.write_str("the encoder table is too large to be a correction: check that it is in radians")
-            }
+frames::wording!(HarmonicsError, |self, say| {
+    match self {
+        Self::NotFinite { row } => say!(
+            "row {} of the encoder table is not a number: measure the table anew",
+            row
+        ),
+        Self::NotMonotonic => {
+            say!("the encoder table is too large to be a correction: check that it is in radians");
         }
     }
-}
+});
 
 impl core::error::Error for HarmonicsError {}
 

@@ -1,8 +1,6 @@
 //! What every IMU of the unit gives, whatever the part.
 
-use core::fmt;
-
-use frames::{Sensor, Vec3};
+use frames::{Sensor, Vec3, wording};
 
 use crate::Error;
 
@@ -23,7 +21,6 @@ pub struct TemperatureCounts(pub i16);
 
 /// A set of the six inertial sensors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Channels(u8);
 
 impl Channels {
@@ -87,29 +84,26 @@ impl core::ops::BitOr for Channels {
     }
 }
 
-impl fmt::Display for Channels {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        const NAMES: [&str; 6] = [
-            "gyro x",
-            "gyro y",
-            "gyro z",
-            "accelerometer x",
-            "accelerometer y",
-            "accelerometer z",
-        ];
-        let mut separator = "";
-        for (bit, name) in NAMES.iter().enumerate() {
-            if self.0 & (1 << bit) != 0 {
-                write!(f, "{separator}{name}")?;
-                separator = ", ";
-            }
+wording!(Channels, |self, say| {
+    const NAMES: [&str; 6] = [
+        "gyro x",
+        "gyro y",
+        "gyro z",
+        "accelerometer x",
+        "accelerometer y",
+        "accelerometer z",
+    ];
+    let mut separator = "";
+    for (bit, name) in NAMES.iter().enumerate() {
+        if self.0 & (1 << bit) != 0 {
+            say!("{}{}", separator, name);
+            separator = ", ";
         }
-        if self.is_empty() {
-            f.write_str("no sensor")?;
-        }
-        Ok(())
     }
-}
+    if self.is_empty() {
+        say!("no sensor");
+    }
+});
 
 /// What a part reports of itself along with the data. The bits are those of the ADIS16495's
 /// SYS_E_FLAG, the only one of the two parts that has such a register.

@@ -96,6 +96,7 @@ pub mod math;
 mod rot;
 pub mod units;
 mod vec3;
+mod wording;
 
 pub use attitude::{Attitude, AttitudeSd};
 pub use integral::{RotIntegral, VecSum};

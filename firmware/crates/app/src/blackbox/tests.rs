@@ -91,7 +91,7 @@ fn a_fault_before_a_reset_is_told_after_it() {
     let started = BlackBox::start(&mut memory, ResetCause::Watchdog, 0);
     assert_eq!(
         started.started().to_string(),
-        "watchdog; before: fault task-overrun motor in mode aligned after 1234 s, heading sd 0.31 deg"
+        "started by watchdog; before: fault task-overrun motor in mode aligned after 1234 s, heading sd 0.31 deg"
     );
 }
 
@@ -148,7 +148,11 @@ fn every_end_of_a_run() {
         run(&mut memory, ResetCause::PowerOn, |blackbox| blackbox.live(mode()));
         end(&mut memory);
         let started = BlackBox::start(&mut memory, cause, 0);
-        assert_eq!(started.started().to_string(), told, "row {row}");
+        assert_eq!(
+            started.started().to_string(),
+            std::format!("started by {told}"),
+            "row {row}"
+        );
         assert_eq!(started.counters.crashes, u32::from(crash), "row {row}");
     }
 }
@@ -161,7 +165,7 @@ fn a_reset_by_command_is_no_crash() {
         blackbox.asked();
     });
     let started = BlackBox::start(&mut memory, ResetCause::Watchdog, 0);
-    assert_eq!(started.started().to_string(), "watchdog, as asked");
+    assert_eq!(started.started().to_string(), "started by watchdog, as asked");
     assert_eq!(started.counters.crashes, 0);
     // Once: the next one was not asked for.
     let started = BlackBox::start(&mut memory, ResetCause::Watchdog, 0);

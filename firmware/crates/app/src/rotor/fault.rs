@@ -1,13 +1,11 @@
 //! What stops the rotor, and what it is not ready for.
 
-use core::fmt;
+use frames::wording;
 
-/// Degrees for people.
-const IN_DEG: f32 = 57.295_78;
+use crate::figure::{deg, figure};
 
 /// Why the outputs are off until [`Command::Clear`](super::Command::Clear). Angles in rad, rates in rad/s.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RotorFault {
     /// The bridge pulls its fault line.
     Driver,
@@ -91,54 +89,49 @@ impl RotorFault {
     }
 }
 
-impl fmt::Display for RotorFault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::Driver => f.write_str("the motor driver reports a fault: over-current, heat or supply"),
-            Self::EncoderInvalid => f.write_str("the encoder sends no usable angle: check magnet and wiring"),
-            Self::EncoderFrozen => f.write_str("the encoder repeats one angle while the rotor ought to turn"),
-            Self::Travel { angle } => write!(f, "the rotor is at {:.1} deg, outside its travel", angle * IN_DEG),
-            Self::SetPoint { angle } => write!(f, "set-point {:.1} deg is outside the travel", angle * IN_DEG),
-            Self::Following { error } => write!(f, "the rotor is {:.1} deg off its set-point", error * IN_DEG),
-            Self::Stall { angle } => write!(f, "the rotor is blocked at {:.1} deg", angle * IN_DEG),
-            Self::Overspeed { rate } => write!(f, "the rotor turns at {:.0} deg/s", rate * IN_DEG),
-            Self::Unsettled { rate } => write!(f, "the rotor does not come to rest: {:.1} deg/s", rate * IN_DEG),
-            Self::NoMovement { moved } => write!(
-                f,
-                "the motor does not turn the rotor ({:.1} deg): check phases, supply and free travel",
-                moved * IN_DEG
-            ),
-            Self::WrongDirection { moved } => write!(
-                f,
-                "the motor turns the rotor the wrong way ({:.1} deg): check phase order and encoder direction",
-                moved * IN_DEG
-            ),
-            Self::PolePairs { expected, measured } => {
-                write!(f, "the motor has {measured:.1} pole pairs, configured are {expected}")
-            }
-            Self::HomeInvalid => f.write_str("the contacts of the home switch contradict each other: check its wiring"),
-            Self::HomeNotFound { searched } => {
-                write!(f, "no edge of the home switch within {:.0} deg", searched * IN_DEG)
-            }
-            Self::HomeMisplaced { off } => write!(
-                f,
-                "home switch and encoder disagree by {:.1} deg: check both, then set the encoder's zero anew",
-                off * IN_DEG
-            ),
-            Self::HomeMismatch { angle } => write!(
-                f,
-                "at {:.1} deg the home switch is on the other side: check switch and cable before turning the rotor",
-                angle * IN_DEG
-            ),
+wording!(RotorFault, |self, say| {
+    match *self {
+        Self::Driver => say!("the motor driver reports a fault: over-current, heat or supply"),
+        Self::EncoderInvalid => say!("the encoder sends no usable angle: check magnet and wiring"),
+        Self::EncoderFrozen => say!("the encoder repeats one angle while the rotor ought to turn"),
+        Self::Travel { angle } => say!("the rotor is at {} deg, outside its travel", deg(angle, 1)),
+        Self::SetPoint { angle } => say!("set-point {} deg is outside the travel", deg(angle, 1)),
+        Self::Following { error } => say!("the rotor is {} deg off its set-point", deg(error, 1)),
+        Self::Stall { angle } => say!("the rotor is blocked at {} deg", deg(angle, 1)),
+        Self::Overspeed { rate } => say!("the rotor turns at {} deg/s", deg(rate, 0)),
+        Self::Unsettled { rate } => say!("the rotor does not come to rest: {} deg/s", deg(rate, 1)),
+        Self::NoMovement { moved } => say!(
+            "the motor does not turn the rotor ({} deg): check phases, supply and free travel",
+            deg(moved, 1)
+        ),
+        Self::WrongDirection { moved } => say!(
+            "the motor turns the rotor the wrong way ({} deg): check phase order and encoder direction",
+            deg(moved, 1)
+        ),
+        Self::PolePairs { expected, measured } => say!(
+            "the motor has {} pole pairs, configured are {}",
+            figure(measured, 1),
+            expected
+        ),
+        Self::HomeInvalid => say!("the contacts of the home switch contradict each other: check its wiring"),
+        Self::HomeNotFound { searched } => {
+            say!("no edge of the home switch within {} deg", deg(searched, 0));
         }
+        Self::HomeMisplaced { off } => say!(
+            "home switch and encoder disagree by {} deg: check both, then set the encoder's zero anew",
+            deg(off, 1)
+        ),
+        Self::HomeMismatch { angle } => say!(
+            "at {} deg the home switch is on the other side: check switch and cable before turning the rotor",
+            deg(angle, 1)
+        ),
     }
-}
+});
 
 impl core::error::Error for RotorFault {}
 
 /// Why a command is not carried out. Nothing has changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Refused {
     /// A fault is latched: clear it first.
     Latched,
@@ -156,18 +149,16 @@ pub enum Refused {
     OutsideTravel,
 }
 
-impl fmt::Display for Refused {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Latched => "the rotor has a fault: clear it first",
-            Self::Busy => "the rotor is busy: stop it first",
-            Self::NoAngle => "the encoder gives no angle",
-            Self::NoHome => "the home switch tells no side: check its wiring",
-            Self::NotCalibrated => "the motor is not calibrated: calibrate first",
-            Self::NotHomed => "the rotor is not homed: home first",
-            Self::OutsideTravel => "the angle is outside the travel",
-        })
+wording!(Refused, |self, say| {
+    match self {
+        Self::Latched => say!("the rotor has a fault: clear it first"),
+        Self::Busy => say!("the rotor is busy: stop it first"),
+        Self::NoAngle => say!("the encoder gives no angle"),
+        Self::NoHome => say!("the home switch tells no side: check its wiring"),
+        Self::NotCalibrated => say!("the motor is not calibrated: calibrate first"),
+        Self::NotHomed => say!("the rotor is not homed: home first"),
+        Self::OutsideTravel => say!("the angle is outside the travel"),
     }
-}
+});
 
 impl core::error::Error for Refused {}

@@ -9,7 +9,6 @@ use core::fmt;
 /// Why a value is refused. Its text says what would be taken; on the target write it from the fields, for formatting an
 /// f32 takes 14 kB of flash.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Invalid {
     /// Not a number, or out of range.
     OutOfRange {

@@ -21,7 +21,7 @@ use core::f32::consts::{FRAC_PI_2, PI, TAU};
 
 use drivers::harmonics::{Harmonic, Harmonics};
 use frames::units::DEG;
-use frames::{Attitude, Body, Nav, Rot, Sensor, Vec3};
+use frames::{Attitude, Body, Nav, Rot, Sensor, Vec3, wording};
 use nav::calibration::{Calibration, MAX_SCATTER};
 use nav::rotor::RotorConfig;
 
@@ -48,7 +48,6 @@ const fn deg(x: f64) -> f32 {
 
 /// What is saved together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Group {
     /// Who the unit is.
     Identity,
@@ -117,11 +116,9 @@ impl Group {
     }
 }
 
-impl core::fmt::Display for Group {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(self.as_str())
-    }
-}
+wording!(Group, |self, say| {
+    say!("{}", self.as_str());
+});
 
 /// Who the unit is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -3,13 +3,13 @@
 use core::fmt;
 
 use embedded_storage_async::nor_flash::NorFlash;
+use frames::wording;
 
 use super::log::{Log, LogError};
 use super::{GROUPS, Group, Invalid, Position, Settings};
 
 /// Where the values of a group come from.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Origin {
     /// Never saved: the defaults.
     Default,
@@ -33,9 +33,22 @@ pub enum Origin {
     Refused(Invalid),
 }
 
+wording!(Origin, |self, say| {
+    match self {
+        Self::Default => say!("never saved, the defaults hold"),
+        Self::Stored => say!("as last saved"),
+        Self::Migrated { from } => say!("as last saved, in version {}", from),
+        Self::Older => say!("older, the last save is damaged"),
+        Self::Lost => say!("lost, the defaults hold: enter them anew"),
+        Self::Newer { version } => say!("of version {}, saved by a later program: the defaults hold", version),
+        Self::Refused(Invalid::OutOfRange { name, .. }) => say!("{} is out of range: the defaults hold", name),
+        Self::Refused(Invalid::Text { name }) => say!("{} is no text: the defaults hold", name),
+        Self::Refused(Invalid::Length) => say!("of another length: the defaults hold"),
+    }
+});
+
 /// What became of the settings at the start.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Report {
     /// One for each of [`Group::ALL`].
     pub origins: [Origin; GROUPS],
@@ -66,7 +79,6 @@ pub enum Saved {
 
 /// Why nothing was saved. What was there before is still there.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum StoreError {
     /// A value that cannot be.
     Invalid(Invalid),
