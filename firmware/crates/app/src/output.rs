@@ -31,7 +31,7 @@
 //! Seven sentences of 82 bytes and two for a line's end are 576 bytes, 50 % of the 1152 that 115200 baud carry in
 //! 100 ms. In fact it is 120, and 165 once a second; 80 more while the unit navigates.
 //!
-//! With the record it is 7.4 kB a second more, 74 % of the line: see [`record`](crate::record).
+//! With the record it is 7.4 kB a second more, 74 % of the line: see [`record`].
 //!
 //! A writer that fails or stalls costs its cycle, and is counted; the task goes on. Nothing waits for it.
 
