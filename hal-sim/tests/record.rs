@@ -22,7 +22,7 @@ use hal_sim::align::{self, Method, Setup};
 use hal_sim::bus::UartLine;
 use hal_sim::log::{LogError, LogReader, LogRow, LogWriter, Loss, Lost, UnitStatus};
 use hal_sim::replay::{self, Observer, Replay};
-use hal_sim::scenario::Scenario;
+use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
 use hal_sim::simulate::Simulation;
 use hal_sim::unit_sim;
 use nav::aligner::{Aligner, Event};
@@ -991,7 +991,8 @@ impl unit_sim::Observer for Line {
     }
 }
 
-/// The unit in virtual time is told to record, and in the midst of its first alignment to align again at another place.
+/// The unit in virtual time is told to record, and in the midst of its first alignment to align again at another place; its
+/// motor's loop stalls now and then, so that samples have no angle.
 #[test]
 fn a_whole_unit_records_itself() {
     let scenario = Scenario {
@@ -999,6 +1000,13 @@ fn a_whole_unit_records_itself() {
             duration_s: 150.0,
             ..Scenario::builtin("paper-sim").unwrap().run
         },
+        fault: [70.0, 90.0, 110.001, 130.002]
+            .map(|at_s| FaultAt {
+                at_s,
+                for_s: Some(0.007),
+                kind: FaultKind::HangMotor,
+            })
+            .to_vec(),
         ..Scenario::builtin("paper-sim").unwrap()
     };
     let typed = ["0.1 record on", "50 set latitude 40.001", "50.5 align"].map(|line| line.parse().unwrap());
@@ -1045,6 +1053,10 @@ fn a_whole_unit_records_itself() {
         aligner.step(&sample_of(row), row.encoder as f32);
     }
     assert_eq!(anew, 2);
+    let unseen = rows
+        .windows(2)
+        .filter(|rows| rows[1].t_s > 70.0 && rows[1].t_s - rows[0].t_s > 0.006);
+    assert!(unseen.count() >= 2);
     let replayed = aligner.estimate().unwrap();
     assert_eq!((replayed.c_nb, replayed.sd), (estimate.c_nb, estimate.sd));
     assert_eq!(replayed.gyro_bias_s, estimate.gyro_bias_s);
