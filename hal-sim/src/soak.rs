@@ -402,7 +402,9 @@ struct Heard {
 impl Observer for Heard {
     fn line(&mut self, line: &Line) {
         // What is told every second says nothing of a failure.
-        if line.text.contains(" rotor +") || line.text.contains(" rotor unknown") {
+        let mode = |mode: ModeName| line.text.strip_prefix(mode.column());
+        let report = ModeName::ALL.into_iter().find_map(mode);
+        if report.is_some_and(|rest| rest.starts_with(" rotor")) {
             return;
         }
         if self.log.len() == LINES {

@@ -91,11 +91,12 @@ fn commands_are_answered_over_a_socket() {
     let shown = text(&link(&unit, &["--send", "show", "--send", "status"]).stdout);
     let lines: Vec<&str> = shown.lines().collect();
     assert_eq!(lines.len(), app::console::Setting::ALL.len() + 2, "{shown}");
-    assert_eq!((lines[0], lines[10]), ("latitude 40.25000 deg", "gyros not calibrated"));
-    assert!(
-        lines[11].contains(" s  ") && lines[11].contains("  heading "),
-        "{shown}"
-    );
+    let [first, .., last, status] = lines[..] else {
+        panic!("{shown}")
+    };
+    assert_eq!((first, last), ("latitude 40.25000 deg", "gyros not calibrated"));
+    assert!(status.contains(" s  ") && status.contains("  heading "), "{shown}");
+    assert_eq!(text(&link(&unit, &["--send", "faults"]).stdout), "no more faults\n");
     assert_eq!(
         text(&link(&unit, &["--send", "help"]).stdout).lines().count(),
         app::console::WORDS.len()

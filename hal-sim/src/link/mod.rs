@@ -317,6 +317,7 @@ pub fn send(link: &mut Link, lines: &[String], timeout: Duration) -> Result<(), 
             Ok(None) => continue,
             Ok(Some(Request::Help)) => Several::Words,
             Ok(Some(Request::Show)) => Several::Settings,
+            Ok(Some(Request::Faults)) => Several::Faults,
             // What this program does not know a later unit may.
             Ok(Some(_)) | Err(_) => Several::No,
         };
@@ -345,6 +346,8 @@ enum Several {
     Words,
     /// Those of `show`.
     Settings,
+    /// Those of `faults`.
+    Faults,
 }
 
 impl Several {
@@ -356,6 +359,7 @@ impl Several {
                 .last()
                 .is_some_and(|word| answer.split(' ').next() == Some(word.name)),
             Self::Settings => answer.starts_with("gyros "),
+            Self::Faults => answer == "no more faults",
         }
     }
 }
