@@ -699,7 +699,7 @@ impl Soak {
             if !self.session.records().iter().any(|entry| entry.cause.name() == name) {
                 self.fail(format!("{name} is not in the black box"));
             }
-            if name == "boot-loop" {
+            if name == "boot-loop" || name == "held" {
                 self.braked = true;
                 continue;
             }
@@ -886,7 +886,9 @@ impl Soak {
             self.session.hang_at_start(None);
             self.session.set_fault(hang(task), false);
             self.disturbed_us = now_us;
-            if self.braked {
+            // One that hangs while a fault is latched ends in that.
+            let fault = self.session.status().and_then(|status| status.fault);
+            if self.braked || fault.is_some_and(|fault| fault.brakes()) {
                 self.report.boot_loops[1] += 1;
             } else {
                 self.fail(format!("{task:?} hung at every start, and no brake was on"));

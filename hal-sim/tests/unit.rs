@@ -347,6 +347,39 @@ fn a_home_switch_that_hangs_is_found_at_the_start() {
     }
 }
 
+/// A fault that is latched stays so over every reset but that of power-on: what hangs still does, and the rotor does not know
+/// its turn any more.
+#[test]
+fn what_is_latched_stays_latched_over_a_reset() {
+    let mut unit = Unit::new(2);
+    unit.session.set_fault(FaultKind::HomeStuck, true);
+    unit.run(40.0);
+    assert_eq!(unit.mode(), ("fault", Some("rotor")));
+    let held = ("fault", Some("held"));
+    unit.session.set_fault(FaultKind::HangMotor, true);
+    assert_eq!(unit.run(1.0), [ResetCause::Watchdog]);
+    unit.session.set_fault(FaultKind::HangMotor, false);
+    for cause in [ResetCause::Pin, ResetCause::BrownOut] {
+        unit.run(30.0);
+        assert_eq!((unit.mode(), unit.session.driven()), (held, false));
+        unit.session.reset(cause, &mut unit.said).unwrap();
+    }
+    assert_eq!(unit.asked("restart"), ["ok,restarting"]);
+    unit.run(30.0);
+    assert_eq!((unit.mode(), unit.session.driven()), (held, false));
+    assert!(!unit.session.wound_past());
+    let faults = unit.asked("faults");
+    assert!(faults.iter().any(|line| line.contains(" rotor in ")), "{faults:?}");
+    unit.session.set_fault(FaultKind::HomeStuck, false);
+    assert_eq!(unit.asked("reset"), ["ok,starting again"]);
+    unit.run(100.0);
+    assert_eq!(unit.mode(), ("aligned", None));
+    // Of a fault that is over nothing is left.
+    unit.session.reset(ResetCause::Pin, &mut unit.said).unwrap();
+    unit.run(100.0);
+    assert_eq!(unit.mode(), ("aligned", None));
+}
+
 /// Whatever task hangs at every start: after three of them the motor stays off and the unit stays up to say so. Neither
 /// a restart nor the reset line let it go on, only the command does.
 #[test]

@@ -386,21 +386,28 @@ struct Life {
     doing: Doing,
     /// A reset was asked for.
     asked: bool,
+    /// A fault is latched.
+    held: bool,
 }
+
+const ASKED: u32 = 1;
+const HELD: u32 = 1 << 1;
 
 impl Life {
     fn read(memory: &impl Memory) -> Option<Self> {
-        let [start, asked, mode, t_s, sd, ..] = unsealed(memory, LIFE)?;
+        let [start, flags, mode, t_s, sd, ..] = unsealed(memory, LIFE)?;
         Some(Self {
             start: start as u16,
-            asked: asked != 0,
+            asked: flags & ASKED != 0,
+            held: flags & HELD != 0,
             doing: doing(mode as u8, t_s, sd),
         })
     }
 
     fn write(&self, memory: &mut impl Memory) {
         let (mode, t_s, sd) = packed(&self.doing);
-        let words = [self.start.into(), self.asked.into(), mode.into(), t_s, sd, 0, 0, 0, 0];
+        let flags = if self.asked { ASKED } else { 0 } | if self.held { HELD } else { 0 };
+        let words = [self.start.into(), flags, mode.into(), t_s, sd, 0, 0, 0, 0];
         seal(memory, LIFE, &words);
     }
 }
@@ -579,6 +586,7 @@ impl<M: Memory> BlackBox<M> {
             start: counters.starts,
             doing: NOTHING,
             asked: false,
+            held: cause != ResetCause::PowerOn && life.is_some_and(|life| life.held),
         };
         life.write(&mut memory);
         let start = Start { cause, asked, before };
@@ -605,6 +613,19 @@ impl<M: Memory> BlackBox<M> {
     /// Crashes in a row, where they are too many for the motor to be let go.
     pub fn brake(&self) -> Option<u32> {
         (self.counters.crashes >= CRASHES).then_some(self.counters.crashes)
+    }
+
+    /// Whether a fault was latched before the reset, whatever it was by, and nobody has said otherwise since.
+    pub fn is_held(&self) -> bool {
+        self.life.held
+    }
+
+    /// A fault is latched, or none is any more.
+    pub fn hold(&mut self, held: bool) {
+        if self.life.held != held {
+            self.life.held = held;
+            self.life.write(&mut self.memory);
+        }
     }
 
     /// Notes a fault.

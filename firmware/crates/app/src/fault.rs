@@ -126,6 +126,8 @@ pub enum Fault {
         /// How often in a row.
         crashes: u32,
     },
+    /// A fault was latched when the program was reset: it still is.
+    Held,
 }
 
 /// What happens after the motor is off and the fault reported.
@@ -188,7 +190,7 @@ impl Fault {
     /// | other rotor faults | 300 ms | each tick; the calibration's by its phases | latched |
     /// | task overrun | 65 ms | 50 ms for sampling and alignment, 5 for the motor, and the supervisor's period | reset |
     /// | self-test | 10 s | its timeout | 3 tries |
-    /// | boot loop | 5 ms | at the start, before anything else | latched |
+    /// | boot loop, held | 5 ms | at the start, before anything else | latched |
     pub const fn rule(&self) -> Rule {
         match self {
             Self::ImuSilent { .. } => retry(35, 500, 3),
@@ -208,12 +210,12 @@ impl Fault {
                 response: Response::Reset,
             },
             Self::SelfTest(_) => retry(10_000, 1000, 3),
-            Self::BootLoop { .. } => latch(5),
+            Self::BootLoop { .. } | Self::Held => latch(5),
         }
     }
 
     /// Names of the kinds, by their [code](Self::code). New ones go to the end: records of an older program may be read.
-    pub const NAMES: [&'static str; 18] = [
+    pub const NAMES: [&'static str; 19] = [
         "imu-silent",
         "imu-transfer",
         "imu-saturated",
@@ -232,6 +234,7 @@ impl Fault {
         "task-overrun",
         "self-test",
         "boot-loop",
+        "held",
     ];
 
     /// Number of its kind, the same for all facts.
@@ -255,7 +258,13 @@ impl Fault {
             Self::TaskOverrun { .. } => 15,
             Self::SelfTest(_) => 16,
             Self::BootLoop { .. } => 17,
+            Self::Held => 18,
         }
+    }
+
+    /// Whether the unit has begun with it, and only waits to be told to go on.
+    pub const fn brakes(&self) -> bool {
+        matches!(self, Self::BootLoop { .. } | Self::Held)
     }
 
     /// Short name of its kind.
@@ -319,6 +328,9 @@ wording!(Fault, |self, say| {
             "{} crashes in a row: the motor stays off until reset by command",
             crashes
         ),
+        Self::Held => {
+            say!("latched before the reset, see the command faults: the motor stays off until reset by command")
+        }
     }
 });
 

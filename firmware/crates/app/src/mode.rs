@@ -281,13 +281,16 @@ impl State {
 
     /// Whether the unit only waits to be told to go on: then a hanging task is no reason to start it anew.
     pub fn brakes(&self) -> bool {
-        matches!(
-            self.mode,
-            Mode::Fault(Faulted {
-                fault: Fault::BootLoop { .. },
-                ..
-            })
-        )
+        matches!(self.mode, Mode::Fault(Faulted { fault, .. }) if fault.brakes())
+    }
+
+    /// Whether a fault is latched; `None` in one that ends in a reset: it is as it was before.
+    pub fn latched(&self) -> Option<bool> {
+        match self.mode {
+            Mode::Fault(Faulted { fault, .. }) if fault.rule().response == Response::Reset => None,
+            Mode::Fault(Faulted { latched, .. }) => Some(latched),
+            _ => Some(false),
+        }
     }
 
     /// Whether the watchdog is to be left to bite.
@@ -529,8 +532,7 @@ fn fault_in(mode: Mode, fault: Fault, attempts: u8, a: &mut Actions) -> Mode {
         // One fault brings others with it; only a graver one takes its place.
         let graver = latched && !before.latched || response == Response::Reset;
         // Which none is that has led to start after start.
-        let brakes = matches!(before.fault, Fault::BootLoop { .. });
-        if !graver || brakes || before.fault.name() == fault.name() {
+        if !graver || before.fault.brakes() || before.fault.name() == fault.name() {
             return mode;
         }
     }

@@ -53,7 +53,8 @@ impl SupervisorConfig {
     }
 }
 
-/// The task. Starts the unit, or leaves the motor off where `blackbox` says that it has crashed too often.
+/// The task. Starts the unit, or leaves the motor off where `blackbox` says that it has crashed too often, or that a fault
+/// is latched.
 pub async fn run<M: RawMutex, C: Cutoff, W: Watchdog, B: Memory>(
     shared: &Shared<M>,
     mut cutoff: C,
@@ -69,6 +70,7 @@ pub async fn run<M: RawMutex, C: Cutoff, W: Watchdog, B: Memory>(
     let mut ticker = Ticker::every(Duration::from_millis(u64::from(config.period_ms)));
     let mut input = match blackbox.brake() {
         Some(crashes) => Input::Fault(Fault::BootLoop { crashes }),
+        None if blackbox.is_held() => Input::Fault(Fault::Held),
         None => Input::Start,
     };
     let mut shown = None;
@@ -122,6 +124,9 @@ fn keep<M: RawMutex, B: Memory>(
 ) {
     if blackbox.is_due(now_us, now.mode.name()) {
         blackbox.live(doing(shared, blackbox.run_s(now_us), now.mode.name()));
+    }
+    if let Some(latched) = now.latched() {
+        blackbox.hold(latched);
     }
     if now.restarts {
         blackbox.asked();
