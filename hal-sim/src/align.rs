@@ -4,10 +4,9 @@
 use frames::units::{ARC_MIN, ARC_SEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
 use frames::{Attitude, AttitudeSd, Real, Sensor, Vec3};
 use nav::aligner::{Aligner, AlignerConfig, AlignerError, Estimate, Event, Mode, NotReady, Restart};
-use nav::constraint::{ConstraintConfig, EncoderConstraint};
-use nav::fine::{self, FilterConfig};
+use nav::constraint::ConstraintConfig;
+use nav::fine::{self, EncoderConstraint, FilterConfig};
 use nav::increment::Sample;
-
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 use serde::{Deserialize, Serialize};

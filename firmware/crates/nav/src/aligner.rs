@@ -32,9 +32,8 @@ use crate::{
     fine::{FilterConfig, FilterConfigError, FineFilter, Innovation},
     increment::{Compensator, Decimator, Increment, Sample},
     model::{ROBUST, WE},
-    navigator::HandOver,
     rotor::RotorConfig,
-    strapdown::Strapdown,
+    strapdown::{Corrections, Strapdown},
     trust::Trust,
 };
 
@@ -266,6 +265,19 @@ pub struct Estimate<T: Real = f32> {
     pub accel_bias_s: Vec3<Sensor, T>,
     /// 1σ of each.
     pub accel_bias_sd: Vec3<Sensor, T>,
+}
+
+/// What the alignment knows at its end, for [`Navigator`](crate::navigator::Navigator) to go on from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HandOver<T: Real = f32> {
+    /// Attitude, its 1σ, the 1σ of the biases.
+    pub estimate: Estimate<T>,
+    /// Velocity, m/s.
+    pub v_n: Vec3<Nav, T>,
+    /// What the sensors are corrected by.
+    pub corrections: Corrections<T>,
+    /// The rotor's position at that instant.
+    pub c_bs: Rot<Body, Sensor, T>,
 }
 
 /// Running mean of the normalised squared innovations.

@@ -19,7 +19,7 @@
 //!
 //! A base that yaws at a constant rate and a gyro with a bias are the same thing to z. No test of z tells one from the
 //! other, so that a base is never believed not to yaw because it is quiet: that it is fixed to Earth (a floor, a pillar, a
-//! tripod on the ground) is said by configuration, with [`EncoderConstraint`] in
+//! tripod on the ground) is said by configuration, with [`EncoderConstraint`](crate::fine::EncoderConstraint) in
 //! [`FilterConfig`](crate::fine::FilterConfig). What is said is not taken on trust either. The measurement is taken only
 //! after [`SETTLE`] in a row in which nothing speaks against it:
 //!
@@ -57,11 +57,7 @@
 use frames::{Body, Nav, Real, Rot, Sensor, Vec3, math, units};
 use nalgebra::Vector3;
 
-use crate::{
-    covariance::{Covariance, Gain, LARGEST_CUT},
-    fine::FineFilter,
-    model::ROBUST,
-};
+use crate::covariance::{Covariance, Gain, LARGEST_CUT};
 
 /// Measurements in a row that must agree with a base at rest before one is taken, and that the mean goes over: 16 s.
 pub const SETTLE: u8 = 16;
@@ -105,37 +101,6 @@ impl<T: Real> ConstraintConfig<T> {
         [self.encoder_sd, self.still_rate, self.gate]
             .iter()
             .all(|x| x.finite() && *x >= T::zero())
-    }
-}
-
-/// Says that the base is fixed to Earth, and so that the encoder measures the z gyro.
-///
-/// It carries the way to its code, and nothing else does: an image in which none is made is linked without that code.
-#[derive(Debug, Clone, Copy)]
-pub struct EncoderConstraint<T: Real = f32, const B: usize = ROBUST> {
-    config: ConstraintConfig<T>,
-    pub(crate) measure_and_feed_back: fn(&mut FineFilter<T, B>, &ConstraintConfig<T>),
-}
-
-/// By the figures: there is one measurement for each type.
-impl<T: Real, const B: usize> PartialEq for EncoderConstraint<T, B> {
-    fn eq(&self, other: &Self) -> bool {
-        self.config == other.config
-    }
-}
-
-impl<T: Real, const B: usize> EncoderConstraint<T, B> {
-    /// With these figures; `None` where one is negative or not finite.
-    pub fn new(config: ConstraintConfig<T>) -> Option<Self> {
-        config.is_valid().then_some(Self {
-            config,
-            measure_and_feed_back: FineFilter::measure_turn_and_feed_back,
-        })
-    }
-
-    /// Its figures.
-    pub fn config(&self) -> &ConstraintConfig<T> {
-        &self.config
     }
 }
 
@@ -299,9 +264,9 @@ mod tests {
     use crate::{
         aligner::{Aligner, AlignerConfig, Mode},
         earth::Earth,
-        fine::{FilterConfig, Method},
+        fine::{EncoderConstraint, FilterConfig, FineFilter, Method},
         increment::{Increment, Sample},
-        model::{BG, PAPER, PHI},
+        model::{BG, PAPER, PHI, ROBUST},
         noise::ImuNoise,
         rotor::{RotorConfig, Schedule},
     };

@@ -29,7 +29,7 @@ use frames::{Nav, Real, Rot, Sensor, Vec3, VecSum, math, units};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::{
-    constraint::{self, ConstraintConfig, EncoderConstraint, Excess, Row, Watch},
+    constraint::{self, ConstraintConfig, Excess, Row, Watch},
     covariance::{Coupling, Covariance},
     earth::Earth,
     fading::{Fading, StrongTracking},
@@ -97,8 +97,7 @@ pub struct FilterConfig<T: Real = f32, const B: usize = ROBUST> {
     pub latitude_sd: T,
     /// Kalman or strong tracking.
     pub method: Method<T, B>,
-    /// That the base is fixed to Earth, so that the rotor's encoder measures the z gyro: see
-    /// [`constraint`].
+    /// That the base is fixed to Earth, so that the rotor's encoder measures the z gyro.
     pub encoder_constraint: Option<EncoderConstraint<T, B>>,
 }
 
@@ -116,6 +115,37 @@ impl<T: Real, const B: usize> Default for FilterConfig<T, B> {
             method: Method::Kalman,
             encoder_constraint: None,
         }
+    }
+}
+
+/// Says that the base is fixed to Earth, and so that the encoder measures the z gyro: see [`constraint`].
+///
+/// It carries the way to its code, and nothing else does: an image in which none is made is linked without that code.
+#[derive(Debug, Clone, Copy)]
+pub struct EncoderConstraint<T: Real = f32, const B: usize = ROBUST> {
+    config: ConstraintConfig<T>,
+    measure_and_feed_back: fn(&mut FineFilter<T, B>, &ConstraintConfig<T>),
+}
+
+/// By the figures: there is one measurement for each type.
+impl<T: Real, const B: usize> PartialEq for EncoderConstraint<T, B> {
+    fn eq(&self, other: &Self) -> bool {
+        self.config == other.config
+    }
+}
+
+impl<T: Real, const B: usize> EncoderConstraint<T, B> {
+    /// With these figures; `None` where one is negative or not finite.
+    pub fn new(config: ConstraintConfig<T>) -> Option<Self> {
+        config.is_valid().then_some(Self {
+            config,
+            measure_and_feed_back: FineFilter::measure_turn_and_feed_back,
+        })
+    }
+
+    /// Its figures.
+    pub fn config(&self) -> &ConstraintConfig<T> {
+        &self.config
     }
 }
 

@@ -22,10 +22,9 @@
 
 use frames::{Attitude, AttitudeSd, Body, Nav, Real, Rot, Sensor, Vec3, math};
 
-use crate::aligner::Estimate;
+use crate::aligner::{Estimate, HandOver};
 use crate::increment::{Compensator, Decimator, Sample};
 use crate::mechanization::{Mechanization, MechanizationError, Position, Vertical};
-use crate::strapdown::Corrections;
 
 /// ω_s, rad/s.
 const SCHULER: f64 = 1.241e-3;
@@ -80,19 +79,6 @@ impl<T: Real> core::fmt::Display for NavigatorError<T> {
 }
 
 impl<T: Real> core::error::Error for NavigatorError<T> {}
-
-/// What the alignment knew at its end.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct HandOver<T: Real = f32> {
-    /// Attitude, its 1σ, the 1σ of the biases.
-    pub estimate: Estimate<T>,
-    /// Velocity, m/s.
-    pub v_n: Vec3<Nav, T>,
-    /// What the sensors are corrected by.
-    pub corrections: Corrections<T>,
-    /// The rotor's position at that instant.
-    pub c_bs: Rot<Body, Sensor, T>,
-}
 
 /// Where the unit is and how it moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -233,6 +219,7 @@ mod tests {
 
     use super::*;
     use crate::earth::Earth;
+    use crate::strapdown::Corrections;
 
     const DT: f64 = 0.01;
     const RATE: f64 = 20.0 * DEG;
