@@ -15,10 +15,10 @@
 use app::alignment::AlignmentConfig;
 use app::blackbox::BlackBox;
 use app::hal::{ChangeOver, MagneticEncoder};
-use app::motor::{Drive, HARMONICS};
-use app::output::{OutputConfig, Port};
+use app::motor::Drive;
+use app::output::Port;
 use app::rotor::Rotor;
-use app::settings::{Settings, Store};
+use app::settings::{HARMONICS, OutputConfig, Settings, Store};
 use app::shared::Shared;
 use app::{alignment, console, motor, output, report, sampling, supervisor};
 use drivers::harmonics::Harmonics;

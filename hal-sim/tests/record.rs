@@ -13,7 +13,8 @@ use app::mode::Status;
 use app::nmea::{self, HeadingMode};
 use app::record::{self, Recorder, Taken};
 
-use app::shared::{Navigation, TimedSample};
+use app::sample::TimedSample;
+use app::shared::Navigation;
 use assert_cmd::Command;
 use drivers::{Channels, Identity, Scale};
 use frames::units::DEG;

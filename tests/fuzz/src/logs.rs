@@ -4,7 +4,7 @@ use app::command::ModeName;
 use app::fault::Fault;
 use app::mode::Status;
 use app::record::{self, Header, Recorder, SYNC, Taken};
-use app::shared::TimedSample;
+use app::sample::TimedSample;
 use drivers::{Channels, Identity, Scale};
 use frames::Vec3;
 use hal_sim::log::{Checker, LogReader, LogRow, LogWriter};

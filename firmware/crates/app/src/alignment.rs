@@ -22,10 +22,12 @@ use crate::fault::Task;
 use crate::log::{Alignment, CalibrationFailure, GyrosCalibrated, NavigationEnd};
 use crate::mode::{Input, Job};
 use crate::nmea_in::Fix;
-use crate::record::{Taken, Tap};
+use crate::record::Taken;
+use crate::sample::TimedSample;
 use crate::selftest::{Inspection, InspectionConfig};
 use crate::settings::{Imu, Mounting, Position as Place, Thermal};
-use crate::shared::{Navigation, Shared, TimedSample};
+use crate::shared::{Navigation, Shared};
+use crate::tap::Tap;
 
 /// The task checks in at least this often when no samples come.
 const IDLE: Duration = Duration::from_millis(10);

@@ -91,6 +91,20 @@ impl ModeName {
         }
     }
 
+    /// Whether the modes take a command in this mode; elsewhere they refuse it. But for a fault that only a reset of the
+    /// unit ends: it takes nothing, and is about to get one.
+    pub const fn takes(self, command: Command) -> bool {
+        match command {
+            Command::ResetFault => matches!(self, Self::Fault),
+            Command::Restart => true,
+            Command::Stop => !matches!(self, Self::Fault),
+            Command::Align => !matches!(self, Self::Fault | Self::SelfTest | Self::Homing),
+            Command::Calibrate => matches!(self, Self::Idle | Self::Aligned),
+            Command::Navigate => matches!(self, Self::Aligned),
+            Command::SelfTest => matches!(self, Self::Idle),
+        }
+    }
+
     /// [`ModeName::as_str`] with blanks, for a column: the longest has eleven letters.
     pub const fn column(self) -> &'static str {
         match self {

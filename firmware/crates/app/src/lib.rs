@@ -7,6 +7,7 @@
 //! |---|---|
 //! | [`hal`] | what a board must give |
 //! | [`shared`] | what the tasks share: one [`Shared`](shared::Shared) |
+//! | [`sample`] | a sample on its way |
 //! | [`sampling`] | IMU at its data-ready edge → increments with time, gap and rotor angle |
 //! | [`motor`] | encoder → [`rotor`] control → bridge, 1 kHz |
 //! | [`alignment`] | samples → estimates |
@@ -20,9 +21,11 @@
 //! | [`nmea`] | sentences of NMEA 0183, pure |
 //! | [`output`] | estimates and status → sentences on a serial line |
 //! | [`record`] | samples and status → frames of a binary log, pure |
+//! | [`tap`] | where samples leave for the record |
 //! | [`report`] | what the unit does → a line of the log, once a second |
 //! | [`settings`] | the unit's settings, and their store in flash |
-//! | [`console`] | commands on a serial line, the parser, pure |
+//! | [`nmea_in`] | sentences of a receiver, pure |
+//! | [`console`] | commands on a serial line, their grammar, and what they do |
 //! | [`rotor`] | the motor's control, pure |
 //!
 //! # The tasks
@@ -54,8 +57,10 @@ pub mod output;
 pub mod record;
 pub mod report;
 pub mod rotor;
+pub mod sample;
 pub mod sampling;
 pub mod selftest;
 pub mod settings;
 pub mod shared;
 pub mod supervisor;
+pub mod tap;

@@ -19,7 +19,6 @@
 use drivers::{Error, Identity};
 
 use crate::command::{Command, ModeName};
-use crate::console;
 use crate::fault::{Fault, Response};
 use crate::log::{Alignment, CalibrationFailure, Event, GyrosCalibrated, NavigationEnd};
 use crate::rotor;
@@ -592,12 +591,14 @@ fn takes(mode: Mode, command: Command) -> bool {
     match mode {
         // The reset that such a fault waits for is about to come.
         Mode::Fault(Faulted { fault, .. }) if fault.rule().response == Response::Reset => false,
-        _ => console::taken(mode.name(), command),
+        _ => mode.name().takes(command),
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use drivers::mt6835::Warnings;
+
     use super::*;
 
     const IDENTITY: Identity = Identity {
@@ -647,6 +648,37 @@ mod tests {
         heading_deg: 1.0,
         sd_deg: 1.0,
     };
+
+    /// Every mode with every command, beside what the modes do.
+    #[test]
+    fn a_mode_takes_what_its_name_says_it_takes() {
+        let fault = Fault::EncoderWarning {
+            warnings: Warnings::NONE,
+        };
+        for mode in [
+            Mode::Idle,
+            Mode::SelfTest(SelfTest::default()),
+            Mode::Homing(Homing::Searching),
+            Mode::Calibrating(Calibrating::Resting),
+            Mode::Coarse,
+            Mode::Fine,
+            Mode::Aligned,
+            Mode::Navigating,
+            Mode::Fault(Faulted { fault, latched: true }),
+        ] {
+            for command in Command::ALL {
+                let state = State {
+                    mode,
+                    ..State::default()
+                };
+                let (_, actions) = state.step(&Input::Command(command), 1);
+                let refused = actions
+                    .iter()
+                    .any(|action| matches!(action, Action::Tell(Event::Refused { .. })));
+                assert_eq!(mode.name().takes(command), !refused, "{mode:?} {command:?}");
+            }
+        }
+    }
 
     #[test]
     fn the_course_of_things() {

@@ -15,11 +15,9 @@ use crate::fault::{Fault, Task};
 use crate::hal::{Encoder, HomeSwitch};
 use crate::mode::{Input, RotorKnows};
 use crate::rotor::{Command, Inputs, Rotor, State};
-use crate::sampling::attend;
+use crate::settings::HARMONICS;
 use crate::shared::{AngleAt, Shared};
 
-/// Rows of the encoder's correction table.
-pub const HARMONICS: usize = 8;
 /// Readings with warnings in a row that make a fault.
 const WARNINGS: u16 = 20;
 
@@ -71,7 +69,7 @@ where
                 on = false;
             }
             let _ = rotor.command(Command::Off);
-            started = match attend(shared, Task::Motor, encoder.start()).await {
+            started = match shared.attend(Task::Motor, encoder.start()).await {
                 Ok(()) => {
                     shared.tell(Input::Encoder(Ok(RotorKnows {
                         calibrated: rotor.electrical_offset().is_some(),

@@ -31,7 +31,7 @@
 //! Seven sentences of 82 bytes and two for a line's end are 576 bytes, 50 % of the 1152 that 115200 baud carry in
 //! 100 ms. In fact it is 120, and 165 once a second; 80 more while the unit navigates.
 //!
-//! With the record it is 7.4 kB a second more, 74 % of the line: see [`record`].
+//! With the record it is 8.5 kB a second more, 74 % of the line: see [`record`].
 //!
 //! A writer that fails or stalls costs its cycle, and is counted; the task goes on. Nothing waits for it.
 
@@ -43,7 +43,6 @@ use embassy_sync::channel::Channel;
 use embassy_time::{Duration, Instant, Timer, with_timeout};
 use embedded_io_async::Write;
 use frames::math;
-use frames::units::DEG;
 use heapless::Vec;
 use nav::aligner::{Estimate, NotReady};
 use nav::navigator::Track;
@@ -52,6 +51,7 @@ use crate::command::ModeName;
 use crate::mode::Status;
 use crate::nmea::{self, HeadingMode, LONGEST, Report, Sentence};
 use crate::record;
+use crate::settings::OutputConfig;
 use crate::shared::{Navigation, Shared};
 
 /// Answers that wait for the line.
@@ -64,45 +64,6 @@ const LINE_END: &[u8] = b"\r\n";
 pub const CYCLE: usize = SENTENCES * LONGEST + LINE_END.len();
 /// A difference over more than this is no rate, µs: five estimates at 20 a second.
 const RATE_GAP_US: u64 = 250_000;
-
-/// What the task does.
-///
-/// | field | unit | zero means | sane value |
-/// |---|---|---|---|
-/// | `period_ms` | ms | as fast as estimates come; refused by the line | 100 |
-/// | `status_every` | cycles | status at changes of mode only | 10 |
-/// | `fresh_ms` | ms | nothing is ever valid | 150: three estimates |
-/// | `write_ms` | ms | every write is given up | 80: more than the longest cycle's 50 |
-/// | `estimated_sd` | rad | never E | 10° |
-/// | `rate_tau` | s | the median alone | 0.5 |
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct OutputConfig {
-    /// Time from cycle to cycle; one that an estimate starts may come 10 % earlier.
-    pub period_ms: u32,
-    /// Cycles from one status sentence to the next.
-    pub status_every: u32,
-    /// Age beyond which an estimate is none.
-    pub fresh_ms: u32,
-    /// How long a write may take.
-    pub write_ms: u32,
-    /// Heading 1σ beyond which there is no estimated heading either, rad.
-    pub estimated_sd: f32,
-    /// Time constant of the rate of turn, s.
-    pub rate_tau: f32,
-}
-
-impl Default for OutputConfig {
-    fn default() -> Self {
-        Self {
-            period_ms: 100,
-            status_every: 10,
-            fresh_ms: 150,
-            write_ms: 80,
-            estimated_sd: (10.0 * DEG) as f32,
-            rate_tau: 0.5,
-        }
-    }
-}
 
 /// What became of the writes since the start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -465,6 +426,7 @@ mod tests {
     use std::string::{String, ToString};
 
     use embedded_io_async::{ErrorKind, ErrorType};
+    use frames::units::DEG;
     use frames::{Attitude, AttitudeSd, Rot, Vec3};
     use nav::aligner;
     use vtime::{Executor, Level, LocalRawMutex, Stop};

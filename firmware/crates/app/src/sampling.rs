@@ -13,20 +13,18 @@ use drivers::{Channels, Error, Imu, RawSample, SystemFlags};
 use embassy_futures::poll_once;
 use embassy_futures::select::{Either, select};
 use embassy_sync::blocking_mutex::raw::RawMutex;
-use embassy_time::{Duration, Timer, with_timeout};
+use embassy_time::{Duration, with_timeout};
 use nav::increment::Sample;
 
 use crate::fault::{Fault, Task};
 use crate::hal::{Edge, EdgeCapture};
 use crate::log::Event;
 use crate::mode::Input;
-use crate::record::ImuFacts;
-use crate::shared::{Shared, TimedSample};
+use crate::sample::{ImuFacts, TimedSample};
+use crate::shared::Shared;
 
 /// Samples of one measurement of the period.
 const WINDOW: u32 = 64;
-/// How often a task that waits for something long checks in.
-const ATTEND: Duration = Duration::from_millis(10);
 /// Longest start of an IMU: reset 250 ms, self-test 40 ms, settings.
 const START_TIMEOUT: Duration = Duration::from_secs(3);
 
@@ -219,18 +217,6 @@ impl Monitor {
     }
 }
 
-/// Awaits something that takes long, checking in meanwhile.
-pub(crate) async fn attend<M: RawMutex, F: Future>(shared: &Shared<M>, task: Task, work: F) -> F::Output {
-    let mut work = core::pin::pin!(work);
-    loop {
-        shared.check_in(task);
-        match select(work.as_mut(), Timer::after(ATTEND)).await {
-            Either::First(done) => return done,
-            Either::Second(()) => {}
-        }
-    }
-}
-
 /// The task. Waits to be told to start the IMU, then samples until it is told again.
 ///
 /// Every fault is raised once; then the task goes on sampling, for the log and the check-in, until the next start.
@@ -242,19 +228,19 @@ pub async fn run<M: RawMutex, I: Imu, E: EdgeCapture>(
     config: SamplingConfig,
 ) -> ! {
     let mut sampler = Sampler::new(shared, config);
-    attend(shared, Task::Sampling, shared.imu_start.wait()).await;
+    shared.attend(Task::Sampling, shared.imu_start.wait()).await;
     loop {
-        let started = attend(
-            shared,
-            Task::Sampling,
-            with_timeout(START_TIMEOUT, start(&mut imu, &imu_config)),
-        )
-        .await;
+        let started = shared
+            .attend(
+                Task::Sampling,
+                with_timeout(START_TIMEOUT, start(&mut imu, &imu_config)),
+            )
+            .await;
         // A start that takes too long is an IMU that does not answer.
         let started = started.unwrap_or(Err(Error::Silent { level: 0 }));
         shared.tell(Input::Imu(started));
         let Ok(identity) = started else {
-            attend(shared, Task::Sampling, shared.imu_start.wait()).await;
+            shared.attend(Task::Sampling, shared.imu_start.wait()).await;
             continue;
         };
         shared.imu_is(ImuFacts {

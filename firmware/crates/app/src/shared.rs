@@ -13,18 +13,18 @@
 //! fit is counted.
 
 use core::cell::{Cell, RefCell};
+use core::future::Future;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 
-use drivers::Channels;
 use drivers::sequence::Tally;
+use embassy_futures::select::{Either, select};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::channel::Channel;
 use embassy_sync::signal::Signal;
 use embassy_sync::watch::Watch;
-use embassy_time::Instant;
+use embassy_time::{Duration, Instant, Timer};
 use nav::aligner;
-use nav::increment::Sample;
 use nav::navigator::Track;
 
 use crate::command::Command;
@@ -32,8 +32,9 @@ use crate::fault::{Fault, Task};
 use crate::log::{Event, Level};
 use crate::mode::{Input, Job, Status};
 use crate::nmea_in::Fix;
-use crate::record::{Frame, ImuFacts};
+use crate::record::Frame;
 use crate::rotor;
+use crate::sample::{ImuFacts, TimedSample};
 use crate::settings::Settings;
 
 /// Samples that wait for the alignment: 158 ms at 202.4 a second, ten times its longest step.
@@ -50,23 +51,10 @@ const FIXES: usize = 4;
 pub const READERS: usize = 4;
 /// Readings of the rotor's angle kept: 8 ms at 1 kHz, longer than a transfer from the IMU takes.
 const ANGLES: usize = 8;
+/// How often a task that waits for something long checks in.
+const ATTEND: Duration = Duration::from_millis(10);
 /// A reading further from the instant asked for than this tells nothing about it, µs.
 const ANGLE_REACH_US: u64 = 5_000;
-
-/// A sample of the IMU with all that the alignment needs to know of it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TimedSample {
-    /// End of its interval, µs of the unit's clock.
-    pub t_us: u64,
-    /// The increments, and the time lost before them.
-    pub sample: Sample,
-    /// The rotor's angle α at that instant, rad; `None` while the turn is unknown.
-    pub alpha: Option<f32>,
-    /// Temperature of the IMU, °C.
-    pub temperature_c: f32,
-    /// Sensors at the end of their range.
-    pub saturated: Channels,
-}
 
 /// What became of the samples since the start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -395,6 +383,18 @@ impl<M: RawMutex> Shared<M> {
     /// A task is alive.
     pub(crate) fn check_in(&self, task: Task) {
         self.check_ins[task.index()].store(now_ms(), Ordering::Relaxed);
+    }
+
+    /// Awaits something that takes long, checking in meanwhile.
+    pub(crate) async fn attend<F: Future>(&self, task: Task, work: F) -> F::Output {
+        let mut work = core::pin::pin!(work);
+        loop {
+            self.check_in(task);
+            match select(work.as_mut(), Timer::after(ATTEND)).await {
+                Either::First(done) => return done,
+                Either::Second(()) => {}
+            }
+        }
     }
 
     /// For how long a task has not checked in, ms.

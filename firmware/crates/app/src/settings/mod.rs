@@ -25,8 +25,6 @@ use frames::{Attitude, Body, Nav, Rot, Sensor, Vec3, wording};
 use nav::calibration::{Calibration, MAX_SCATTER};
 use nav::rotor::RotorConfig;
 
-use crate::motor::HARMONICS;
-use crate::output::OutputConfig;
 use crate::rotor::{self, MotorConfig};
 use codec::Codec;
 
@@ -37,6 +35,8 @@ pub use store::{Origin, Report, Saved, Store, StoreError};
 pub const THERMAL_ROWS: usize = 6;
 /// Letters of the unit's name.
 pub const NAME: usize = 16;
+/// Rows of the encoder's correction table.
+pub const HARMONICS: usize = 8;
 /// Greatest bias of a gyro, rad/s: 5.7 °/s, beyond the worst part meant.
 const BIAS: f32 = 0.1;
 /// Greatest misalignment, rad, and scale factor error.
@@ -194,6 +194,45 @@ pub struct Installation {
     pub position: Position,
     /// Housing in vehicle.
     pub mounting: Mounting,
+}
+
+/// What the [output](crate::output) does.
+///
+/// | field | unit | zero means | sane value |
+/// |---|---|---|---|
+/// | `period_ms` | ms | as fast as estimates come; refused by the line | 100 |
+/// | `status_every` | cycles | status at changes of mode only | 10 |
+/// | `fresh_ms` | ms | nothing is ever valid | 150: three estimates |
+/// | `write_ms` | ms | every write is given up | 80: more than the longest cycle's 50 |
+/// | `estimated_sd` | rad | never E | 10° |
+/// | `rate_tau` | s | the median alone | 0.5 |
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OutputConfig {
+    /// Time from cycle to cycle; one that an estimate starts may come 10 % earlier.
+    pub period_ms: u32,
+    /// Cycles from one status sentence to the next.
+    pub status_every: u32,
+    /// Age beyond which an estimate is none.
+    pub fresh_ms: u32,
+    /// How long a write may take.
+    pub write_ms: u32,
+    /// Heading 1σ beyond which there is no estimated heading either, rad.
+    pub estimated_sd: f32,
+    /// Time constant of the rate of turn, s.
+    pub rate_tau: f32,
+}
+
+impl Default for OutputConfig {
+    fn default() -> Self {
+        Self {
+            period_ms: 100,
+            status_every: 10,
+            fresh_ms: 150,
+            write_ms: 80,
+            estimated_sd: (10.0 * DEG) as f32,
+            rate_tau: 0.5,
+        }
+    }
 }
 
 /// What the calibration of the IMU found.

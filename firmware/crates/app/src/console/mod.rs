@@ -1,0 +1,253 @@
+//! Commands on the serial line: a line of text in, an answer out.
+//!
+//! ```text
+//! help                     what there is
+//! status                   the status sentence, now
+//! version                  of the program
+//! align                    align from the beginning
+//! calibrate                calibrate the gyros: from rest, better once aligned
+//! navigate                 dead reckoning from here: once aligned
+//! stop                     stop the rotor and rest
+//! selftest                 test, then rest: from rest only
+//! reset                    forget the fault and start again
+//! restart                  start the program anew
+//! show                     the settings
+//! set latitude 40.1        a setting: see [`Setting::ALL`]
+//! save                     keep settings and calibration
+//! faults                   the last faults and crashes, over resets; `faults clear` forgets them
+//! log info                 error, warn, info or debug
+//! record on                every sample between the sentences, for a replay; or off
+//! ```
+//!
+//! How a line is read is [`parse`]'s and [`LineBuffer`]'s, and pure; [`run`] is the task, which obeys and keeps the settings.
+
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_time::{Instant, Timer};
+use embedded_io_async::Read;
+use embedded_storage_async::nor_flash::NorFlash;
+use frames::units::DEG;
+
+use crate::blackbox::{self, Memory};
+use crate::command::Command;
+use crate::nmea::{self, Line};
+use crate::nmea_in::{Fix, Place};
+use crate::output::Port;
+use crate::settings::{Group, Position, Settings, Source, Store, StoreError};
+use crate::shared::Shared;
+
+mod grammar;
+
+pub use grammar::{LONGEST, LineBuffer, LineError, Request, Setting, WORDS, Word, parse};
+
+/// Seconds from one position that is kept to the next: the flash bears it for 38 years.
+const KEEP_S: u64 = 60;
+/// Closer than this to the one that is kept, rad, a position is the same: 0.01°, 1.1 km.
+const KEEP_AWAY: f32 = (0.01 * DEG) as f32;
+
+/// The task: takes lines from `rx`, answers them on `port`, keeps the settings.
+///
+/// Bytes that come while it saves wait in the receiver; what does not fit there spoils its line only.
+pub async fn run<M: RawMutex, F: NorFlash>(
+    shared: &Shared<M>,
+    port: &Port<M>,
+    mut rx: impl Read,
+    mut store: Store<F>,
+    mut records: impl Memory,
+) -> ! {
+    let mut lines = LineBuffer::new();
+    let mut keep_us = 0;
+    let mut bytes = [0; 16];
+    loop {
+        let count = rx.read(&mut bytes).await.unwrap_or(0);
+        if count == 0 {
+            // Noise, a wrong baud rate, bytes lost: the line is refused at its end. Not at once again: a receiver that
+            // only fails must not keep the others from their work.
+            lines.garble();
+            Timer::after_millis(5).await;
+        }
+        for byte in bytes.iter().take(count) {
+            if let Some(found) = lines.push(*byte) {
+                match found {
+                    Ok(Request::Fix(fix)) => heed(shared, &mut store, &fix, &mut keep_us).await,
+                    Ok(request) => obey(shared, port, &mut store, &mut records, request).await,
+                    Err(error) => port.answer(nmea::answer(false, error.expected())).await,
+                }
+            }
+        }
+    }
+}
+
+/// Passes on what a receiver says, and keeps the place.
+async fn heed<M: RawMutex, F: NorFlash>(shared: &Shared<M>, store: &mut Store<F>, fix: &Fix, keep_us: &mut u64) {
+    // The alignment hears of the next one.
+    let _ = shared.fixes.try_send(*fix);
+    let Some(Place { latitude, longitude }) = fix.place else {
+        return;
+    };
+    let last = shared.settings().last_position;
+    let moved = (latitude - last.latitude).abs().max((longitude - last.longitude).abs());
+    let now_us = Instant::now().as_micros();
+    if last.source == Source::Gnss && moved < KEEP_AWAY || now_us < *keep_us {
+        return;
+    }
+    *keep_us = now_us + KEEP_S * 1_000_000;
+    let position = Position {
+        latitude,
+        longitude,
+        height: last.height,
+        source: Source::Gnss,
+    };
+    shared.change(|settings| settings.last_position = position);
+    // What fails here fails at `save` as well, which says so.
+    let _ = store.save_position(&position).await;
+}
+
+async fn obey<M: RawMutex, F: NorFlash>(
+    shared: &Shared<M>,
+    port: &Port<M>,
+    store: &mut Store<F>,
+    records: &mut impl Memory,
+    request: Request,
+) {
+    let (ok, text) = match request {
+        Request::Help => {
+            for word in &WORDS {
+                let mut line = Line::answer(true);
+                for text in [word.name, " - ", word.help] {
+                    line.words(text);
+                }
+                port.answer(line.end()).await;
+            }
+            return;
+        }
+        Request::Show => {
+            let settings = shared.settings();
+            for setting in &grammar::SETTINGS {
+                let mut line = Line::answer(true);
+                line.words(setting.name);
+                line.words(" ");
+                line.decimal(setting.get(&settings), setting.decimals);
+                line.words(" ");
+                line.words(setting.unit);
+                port.answer(line.end()).await;
+            }
+            let calibrated = settings.imu.calibration.is_some();
+            (
+                true,
+                if calibrated {
+                    "gyros calibrated"
+                } else {
+                    "gyros not calibrated"
+                },
+            )
+        }
+        Request::Faults => {
+            for entry in blackbox::entries(records) {
+                port.answer(entry.answer()).await;
+            }
+            (true, "no more faults")
+        }
+        Request::ClearFaults => {
+            blackbox::clear(records);
+            (true, "forgotten")
+        }
+        Request::Status => {
+            port.status();
+            return;
+        }
+        Request::Fix(_) => return,
+        Request::Version => {
+            let mut line = Line::answer(true);
+            line.words("rotary-north ");
+            line.words(shared.version());
+            return port.answer(line.end()).await;
+        }
+        Request::Record(on) => {
+            shared.set_recording(on);
+            (true, if on { "recording" } else { "not recording" })
+        }
+        Request::Log(level) => {
+            shared.set_log_level(level);
+            (true, level.name())
+        }
+        Request::Set(setting, value) => match setting.put(shared.settings(), value) {
+            Ok(changed) => {
+                // Of what was read before, only this: the alignment may have found something since.
+                shared.change(|settings| settings.take(&changed, setting.group));
+                (true, taken_up(setting.group))
+            }
+            Err(invalid) => return port.answer(setting.expected(invalid)).await,
+        },
+        Request::Save => match save(store, &shared.settings()).await {
+            Ok(()) => (true, "saved"),
+            Err(error) => (false, why(error)),
+        },
+        Request::Unit(command) => {
+            let mode = shared.status.try_get().map(|status| status.mode);
+            match mode {
+                Some(mode) if !mode.takes(command) => (false, refusal(command)),
+                _ if shared.commands.try_send(command).is_ok() => (true, done(command)),
+                _ => (false, "expected some time between commands"),
+            }
+        }
+    };
+    port.answer(nmea::answer(ok, text)).await;
+}
+
+/// All that a command or a calibration may have changed.
+async fn save<F: NorFlash>(store: &mut Store<F>, settings: &Settings) -> Result<(), StoreError> {
+    for group in [
+        Group::Installation,
+        Group::Motion,
+        Group::Output,
+        Group::Identity,
+        Group::Imu,
+        Group::Encoder,
+    ] {
+        store.save(settings, group).await?;
+    }
+    Ok(())
+}
+
+/// Why nothing was saved, in words that fit an answer.
+const fn why(error: StoreError) -> &'static str {
+    match error {
+        StoreError::Invalid(_) => "not saved: a value is out of range",
+        StoreError::Newer { .. } => "not saved: the settings are a later program's",
+        StoreError::Flash => "not saved: the flash reports an error",
+        StoreError::Full => "not saved: no room",
+        StoreError::Worn => "not saved: the flash is worn out",
+    }
+}
+
+/// When a setting acts.
+const fn taken_up(group: Group) -> &'static str {
+    match group {
+        Group::Installation => "set - align takes it up and save keeps it",
+        _ => "set - save it then restart",
+    }
+}
+
+/// What a command brings about.
+const fn done(command: Command) -> &'static str {
+    match command {
+        Command::Stop => "the rotor stops",
+        Command::Align => "aligning",
+        Command::Calibrate => "calibrating: keep the base still for 3 minutes",
+        Command::Navigate => "navigating",
+        Command::SelfTest => "testing",
+        Command::ResetFault => "starting again",
+        Command::Restart => "restarting",
+    }
+}
+
+/// When a command makes sense.
+const fn refusal(command: Command) -> &'static str {
+    match command {
+        Command::Stop | Command::Align | Command::Restart => "not now: wait, or reset the fault",
+        Command::Calibrate => "only from rest or once aligned: stop first",
+        Command::Navigate => "only once aligned",
+        Command::SelfTest => "only from rest: stop first",
+        Command::ResetFault => "there is no fault",
+    }
+}
