@@ -1,7 +1,7 @@
 //! The motor's loop: encoder, rotor control, bridge, at the period of the rotor's configuration.
 //!
 //! One tick: read, correct, control, put out. The outputs are off before anything is told; they go on only in a tick
-//! whose reading came after the last look at [`Shared::inhibited`].
+//! that has looked at [`Shared::inhibited`] after its reading, and waits for nothing from there on.
 
 use drivers::harmonics::Harmonics;
 use drivers::motor::{MotorDriver, ThreePhase};
@@ -69,6 +69,8 @@ where
                 on = false;
             }
             let _ = rotor.command(Command::Off);
+            // Warnings that last are found again after each start.
+            warned = 0;
             started = match shared.attend(Task::Motor, encoder.start()).await {
                 Ok(()) => {
                     shared.tell(Input::Encoder(Ok(RotorKnows {
@@ -206,6 +208,108 @@ impl Doing {
             State::Homing(_) => Self::Homing,
             State::Running(_) | State::Stopping(_) => Self::Other,
             State::Fault(_) => Self::Fault,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::rc::Rc;
+    use std::vec::Vec;
+
+    use drivers::Error;
+    use drivers::motor::Duty;
+    use drivers::mt6835::{AngleCounts, Reading};
+    use embassy_time::Timer;
+    use embedded_hal::digital::ErrorType;
+    use std::convert::Infallible;
+    use vtime::{Executor, Level, LocalRawMutex, Stop};
+
+    use super::*;
+    use crate::hal::NoSwitch;
+    use crate::rotor::Config;
+    use crate::settings::Settings;
+
+    /// An encoder whose magnet is too weak, for good.
+    struct Weak;
+
+    impl Encoder for Weak {
+        async fn start(&mut self) -> Result<(), Error> {
+            Timer::after_millis(3).await;
+            Ok(())
+        }
+
+        async fn read(&mut self) -> Result<Reading, Error> {
+            Ok(Reading {
+                angle: AngleCounts::new(77),
+                warnings: Warnings::WEAK_FIELD,
+            })
+        }
+    }
+
+    struct Pin;
+
+    impl ErrorType for Pin {
+        type Error = Infallible;
+    }
+
+    impl OutputPin for Pin {
+        fn set_low(&mut self) -> Result<(), Infallible> {
+            Ok(())
+        }
+
+        fn set_high(&mut self) -> Result<(), Infallible> {
+            Ok(())
+        }
+    }
+
+    impl InputPin for Pin {
+        fn is_high(&mut self) -> Result<bool, Infallible> {
+            Ok(true)
+        }
+
+        fn is_low(&mut self) -> Result<bool, Infallible> {
+            Ok(false)
+        }
+    }
+
+    struct NoBridge;
+
+    impl ThreePhase for NoBridge {
+        fn set_duties(&mut self, _: [Duty; 3]) {}
+
+        fn outputs_off(&mut self) {}
+    }
+
+    #[test]
+    fn warnings_that_last_are_found_after_every_start() {
+        let mut unit = Executor::new();
+        let shared = Rc::new(Shared::<LocalRawMutex>::new("0.0.0", Settings::default()));
+        let s = Rc::clone(&shared);
+        unit.spawn("motor", Level::Interrupt, async move {
+            let mut rotor = Rotor::new(Config::default()).unwrap();
+            let drive = Drive {
+                driver: MotorDriver::new(Pin, Pin).unwrap(),
+                pwm: NoBridge,
+                home: NoSwitch,
+            };
+            run(&s, Weak, drive, &mut rotor, Harmonics::default()).await
+        });
+        for start in 1..=3_u64 {
+            shared.release();
+            shared.encoder_start.signal(());
+            let end = Instant::from_millis(500 * start);
+            assert_eq!(unit.run_until(end), Ok(Stop::Deadline));
+            let told: Vec<Input> = core::iter::from_fn(|| shared.inputs.try_receive().ok()).collect();
+            let warnings = Warnings::WEAK_FIELD;
+            assert!(
+                matches!(
+                    told[..],
+                    [Input::Encoder(Ok(_)), Input::Fault(Fault::EncoderWarning { warnings: found })] if found == warnings
+                ),
+                "start {start}: {told:?}"
+            );
+            assert!(shared.inhibited());
         }
     }
 }
