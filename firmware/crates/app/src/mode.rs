@@ -302,6 +302,10 @@ impl State {
     /// an input that does not concern it changes nothing.
     pub fn step(self, input: &Input, now_us: u64) -> (Self, Actions) {
         let mut actions = Actions::new();
+        if self.restarts && !matches!(input, Input::Fault(_)) {
+            // The motor is cut until the watchdog bites: neither a command nor the retry of a fault releases it again.
+            return (self, actions);
+        }
         let a = &mut actions;
         let in_mode_us = now_us.saturating_sub(self.since_us);
         let (mut attempts, mut goal, mut restarts) = (self.attempts, self.goal, self.restarts);
@@ -953,6 +957,25 @@ mod tests {
             let (state, actions) = in_mode(mode).step(&Input::Command(Command::Restart), 1);
             assert!(actions.contains(&Action::Cut) && state.wants_reset());
             assert!(state.step(&Input::Tick, 2).0.wants_reset());
+        }
+    }
+
+    #[test]
+    fn nothing_releases_the_motor_after_a_restart() {
+        let faulted = Mode::Fault(Faulted {
+            fault: Fault::Driver,
+            latched: false,
+        });
+        for mode in [Mode::Idle, Mode::Aligned, faulted] {
+            let (state, _) = in_mode(mode).step(&Input::Command(Command::Restart), 1);
+            for input in [Input::Start, Input::Tick, Input::Fault(Fault::Driver)]
+                .into_iter()
+                .chain(Command::ALL.map(Input::Command))
+            {
+                let (state, actions) = state.step(&input, HOMING_US);
+                assert!(!actions.contains(&Action::Release), "{mode:?} {input:?}");
+                assert!(state.wants_reset(), "{mode:?} {input:?}");
+            }
         }
     }
 
