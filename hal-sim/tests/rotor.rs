@@ -531,7 +531,9 @@ fn a_thousand_runs_with_resets_and_faults() {
     // In closed loop, ticks of 1 ms: detection, and the outputs off in the same tick.
     let [driver, stuck, silent, frozen, jumps, broken, _] = tally.latency;
     assert_eq!(driver, 1);
-    assert!(silent.max(jumps).max(broken) <= 3, "{tally:?}");
+    assert!(silent.max(jumps) <= 3, "{tally:?}");
+    // A contact that changes over has neither line high for some milliseconds.
+    assert!(broken <= 20, "{tally:?}");
     // Next to a turn-around, where standing still is no fault yet.
     assert!(stuck <= 300 && frozen <= 150, "{tally:?}");
     // The runs must have met what they are for.

@@ -17,6 +17,9 @@ use super::shaft::Shaft;
 
 /// Equal readings in a row that make a side.
 const DEBOUNCE: u8 = 3;
+/// Contradictory readings in a row that make a broken switch: a change-over contact is on its way from one side to the other
+/// for some milliseconds, in which neither line is high.
+const BROKEN: u8 = 20;
 
 /// The home switch behind its bounce.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -33,12 +36,13 @@ impl Debounced {
             self.count = 0;
         }
         self.count = self.count.saturating_add(1);
-        if self.count >= DEBOUNCE {
+        let enough = if side.is_some() { DEBOUNCE } else { BROKEN };
+        if self.count >= enough {
             self.side = side;
         }
     }
 
-    /// `None`: not settled yet, or contradictory.
+    /// `None`: not settled yet, or contradictory for longer than a change of side takes.
     pub(super) fn side(&self) -> Option<Side> {
         self.side
     }

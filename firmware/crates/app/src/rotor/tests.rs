@@ -10,6 +10,10 @@ struct Ideal {
     angle: f32,
     /// Angle of the switch's edge; `None`: broken.
     edge: Option<f32>,
+    /// Ticks for which neither contact is closed when the switch changes, and how many of them are left.
+    transit: u32,
+    left: u32,
+    side: Option<Side>,
     reading: Option<f32>,
     driver_fault: bool,
     /// The rotor does not move; the encoder's last bits do.
@@ -29,6 +33,9 @@ impl Ideal {
             rotor: Rotor::new(config).unwrap(),
             angle,
             edge: Some(180.0 * DEG),
+            transit: 0,
+            left: 0,
+            side: None,
             reading: None,
             driver_fault: false,
             blocked: false,
@@ -67,11 +74,18 @@ impl Ideal {
     }
 
     fn tick_with_reading(&mut self) -> Outputs {
+        let side = self
+            .edge
+            .map(|edge| if self.angle < edge { Side::Below } else { Side::Above });
+        self.left = if side == self.side {
+            self.left.saturating_sub(1)
+        } else {
+            self.transit
+        };
+        self.side = side;
         let outputs = self.rotor.tick(&Inputs {
             reading: self.reading,
-            home: self
-                .edge
-                .map(|edge| if self.angle < edge { Side::Below } else { Side::Above }),
+            home: side.filter(|_| self.left == 0),
             driver_fault: self.driver_fault,
         });
         if let (Some(s), false) = (outputs.set_point, self.blocked) {
@@ -217,7 +231,7 @@ fn what_must_be_known_first() {
     assert_eq!(refused(&mut fresh, Run), Refused::NotCalibrated);
     assert_eq!(refused(&mut fresh, Home), Refused::NotCalibrated);
     fresh.edge = None;
-    for _ in 0..3 {
+    for _ in 0..20 {
         fresh.tick();
     }
     assert_eq!(refused(&mut fresh, Calibrate), Refused::NoHome);
@@ -354,8 +368,8 @@ fn too_fast() {
 #[test]
 fn a_switch_may_bounce() {
     let mut ideal = Ideal::running(1.0);
-    for edge in [None, Some(0.0)] {
-        for (ticks, fault) in [(2, false), (3, true)] {
+    for (edge, most) in [(None, 20), (Some(0.0), 3)] {
+        for (ticks, fault) in [(most - 1, false), (most, true)] {
             let mut ideal = Ideal {
                 rotor: ideal.rotor.clone(),
                 ..ideal
@@ -386,6 +400,21 @@ fn switch_against_angle() {
     let mut ideal = Ideal::running(4.0);
     ideal.edge = Some(7.0);
     assert!(matches!(ideal.fault(), RotorFault::HomeMismatch { .. }));
+}
+
+/// For ten milliseconds neither contact is closed, in the search and at each pass of the edge.
+#[test]
+fn a_contact_on_its_way_is_not_broken() {
+    let mut ideal = Ideal::new(170.0 * DEG, |_| ());
+    ideal.transit = 10;
+    ideal.rotor.command(Command::Home).unwrap();
+    ideal.until_change();
+    assert!(ideal.rotor.homed(), "{:?}", ideal.rotor.state());
+    ideal.rotor.command(Command::Run).unwrap();
+    for _ in 0..40_000 {
+        ideal.tick();
+        assert_eq!(ideal.kind(), Kind::Running, "{:?}", ideal.rotor.state());
+    }
 }
 
 #[test]
