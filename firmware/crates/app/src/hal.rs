@@ -12,9 +12,7 @@
 
 use drivers::Error;
 use drivers::mt6835::{self, Mt6835, Reading};
-use embassy_time::{Instant, Timer};
 use embedded_hal::digital::InputPin;
-use embedded_hal_async::digital::Wait;
 use embedded_hal_async::spi::SpiDevice;
 
 use crate::rotor::Side;
@@ -44,25 +42,6 @@ pub trait EdgeCapture {
 impl<T: EdgeCapture + ?Sized> EdgeCapture for &mut T {
     async fn edge(&mut self) -> Edge {
         (**self).edge().await
-    }
-}
-
-/// Rising edges of any pin that can be waited for, stamped when the task is woken: late by the latency of
-/// the executor (20 µs and more), and blind to edges that come while nobody waits. A stand-in until a
-/// board has a capture.
-#[derive(Debug)]
-pub struct PolledEdge<P>(pub P);
-
-impl<P: Wait> EdgeCapture for PolledEdge<P> {
-    async fn edge(&mut self) -> Edge {
-        while self.0.wait_for_rising_edge().await.is_err() {
-            // A pin that cannot be waited for is a silent IMU: the caller's timeout tells.
-            Timer::after_millis(10).await;
-        }
-        Edge {
-            t_us: Instant::now().as_micros(),
-            overrun: 0,
-        }
     }
 }
 

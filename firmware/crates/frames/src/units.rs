@@ -25,5 +25,3 @@ pub const MICRO_G: f64 = STANDARD_GRAVITY * 1e-6;
 pub const MICRO_G_PER_SQRT_HZ: f64 = MICRO_G;
 /// One part in a million.
 pub const PPM: f64 = 1e-6;
-/// One microsecond in seconds.
-pub const MICROSECOND: f64 = 1e-6;
