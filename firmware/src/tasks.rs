@@ -3,14 +3,15 @@
 //! ```text
 //! interrupt, priority 6   motor        1 kHz: encoder, control, duties
 //! interrupt, priority 7   sampling     202 Hz: IMU at its data-ready
-//! thread                  alignment    up to 11 ms a step while it catches up
+//! thread                  alignment    half a millisecond a sample while it catches up
 //!                         supervisor   200 Hz: modes, faults, watchdog
 //!                         output       10 Hz: NMEA 0183 to the serial port
 //!                         console      commands from it, settings to flash
 //!                         report       1 Hz: what the unit does to the log
 //! ```
 //!
-//! The sampling must not wait for the alignment: 11 ms are two samples, and the IMU keeps only the last one.
+//! The sampling must not wait for what runs in the thread: the IMU keeps only its last sample, and the rotor's angle at the
+//! edge is known for 8 ms.
 
 use app::alignment::AlignmentConfig;
 use app::blackbox::BlackBox;

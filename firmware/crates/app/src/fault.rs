@@ -105,7 +105,7 @@ pub enum Fault {
     Driver,
     /// The rotor is blocked, or does not keep up.
     Stall {
-        /// Set-point minus angle, or the angle it stands at, rad.
+        /// [`RotorFault::Stall`] or [`RotorFault::Following`].
         rotor: RotorFault,
     },
     /// Any other fault of the rotor.
@@ -188,7 +188,7 @@ impl Fault {
     /// | stall | 300 ms | 50 ms at the voltage limit, or 2° behind at 20 °/s and the time to get there | 1 try |
     /// | home switch on the wrong side | 20 s | the rotor must pass the edge: a leg of 18 s | latched |
     /// | other rotor faults | 300 ms | each tick; the calibration's by its phases | latched |
-    /// | task overrun | 65 ms | 50 ms for sampling and alignment, 5 for the motor, and the supervisor's period | reset |
+    /// | task overrun | 65 ms | 50 ms for sampling and alignment, 20 for the motor, and the supervisor's period | reset |
     /// | self-test | 10 s | its timeout | 3 tries |
     /// | boot loop, held | 5 ms | at the start, before anything else | latched |
     pub const fn rule(&self) -> Rule {

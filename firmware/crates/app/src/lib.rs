@@ -30,8 +30,9 @@
 //!
 //! # The tasks
 //!
-//! Four bodies, each a plain `async fn(…) -> !` generic over its hardware and the raw mutex. A board wraps each into
-//! an `#[embassy_executor::task]`: [`motor::run`] at interrupt level, the others at thread level.
+//! Seven bodies, each a plain `async fn(…) -> !` generic over its hardware and the raw mutex. A board wraps each into
+//! an `#[embassy_executor::task]`: [`motor::run`] and, below it, [`sampling::run`] at interrupt level; at thread level
+//! [`alignment::run`], [`supervisor::run`], [`output::run`], [`console::run`] and [`report::run`].
 //!
 //! A fault takes three ways at once, so that the motor is off whatever hangs: whoever finds it inhibits the motor
 //! (the motor's loop obeys at its next tick), the supervisor cuts the outputs past the loop, and a supervisor that

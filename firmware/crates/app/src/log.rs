@@ -287,7 +287,7 @@ pub enum Alignment {
         /// By how much it differs, degrees.
         heading_offset_deg: f32,
     },
-    /// The innovations do not fit a base that only swings.
+    /// The innovations do not fit a base that stays where it is, swinging and swaying.
     Inconsistent {
         /// Mean of innovation²/variance.
         ratio: f32,
@@ -358,7 +358,7 @@ wording!(Alignment, |self, say| {
             figure(heading_offset_deg, 1)
         ),
         Self::Inconsistent { ratio } => say!(
-            "no longer aligned: innovations are {} times the model's variance; does the base move?",
+            "no longer aligned: innovations are {} times the model's variance; does the base travel?",
             figure(ratio, 1)
         ),
         Self::Collecting => say!("collecting"),

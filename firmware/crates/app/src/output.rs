@@ -1,7 +1,7 @@
 //! The serial line's output task: estimates and status in, sentences of [`nmea`] out.
 //!
-//! A cycle is THS, HDT, ROT and PASHR in one write, GLL and VTG while the unit navigates, with the status sentence once a second and at every change of
-//! mode. It begins with an estimate: of 20 a second every other one starts a cycle, so that a heading is no older than
+//! A cycle is THS, HDT, ROT and PASHR in one write, GLL and VTG while the unit navigates, with the status sentence once a
+//! second and at every change of mode. It begins with an estimate: of 20 a second every other one starts a cycle, so that a heading is no older than
 //! its way through the task, and where the base swings by 10 °/s the 50 ms to the next estimate would be half a degree.
 //! Without estimates it begins by the clock.
 //!

@@ -37,7 +37,7 @@ use crate::rotor;
 use crate::sample::{ImuFacts, TimedSample};
 use crate::settings::Settings;
 
-/// Samples that wait for the alignment: 158 ms at 202.4 a second, ten times its longest step.
+/// Samples that wait for the alignment: 158 ms at 202.4 a second, three times what it may be silent.
 pub const SAMPLES: usize = 32;
 /// Frames of the record that wait for the line: as long.
 pub const FRAMES: usize = 32;

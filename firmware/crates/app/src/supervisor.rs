@@ -18,7 +18,7 @@ use crate::shared::Shared;
 /// |---|---|---|---|
 /// | `period_ms` | ms | refused by the ticker | 5; far below the watchdog's time |
 /// | `sampling_ms` | ms | always a fault | 50: five periods of the samples, and the transfer |
-/// | `motor_ms` | ms | always a fault | 5 ticks; 20 while the encoder is started |
+/// | `motor_ms` | ms | always a fault | 20: while the encoder is started it checks in every 10, else every tick |
 /// | `alignment_ms` | ms | always a fault | 50: its longest step is 1 ms |
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SupervisorConfig {

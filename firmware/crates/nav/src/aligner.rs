@@ -199,8 +199,8 @@ pub enum NotReady<T: Real = f32> {
         /// The z gyro bias that goes with it, rad/s.
         gyro_bias_z: T,
     },
-    /// Innovations are larger than the model allows: the base moves, or a sensor has changed. Attitude
-    /// and σ must not be trusted.
+    /// Innovations are larger than the model allows: the base does more than swing and sway, or a sensor has changed.
+    /// Attitude and σ must not be trusted.
     Inconsistent {
         /// Mean of innovation²/variance per component; 1 where the model holds.
         ratio: T,

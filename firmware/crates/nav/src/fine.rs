@@ -309,7 +309,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         c_ns: Rot<Nav, Sensor, T>,
         trust: Option<Trust<T>>,
     ) -> Result<Self, FilterConfigError> {
-        const { assert!(B > BA && B <= ROBUST, "the model has 4 to 9 blocks") }
+        const { assert!(B > BA && B <= ROBUST, "the model has 4 to 10 blocks") }
         config.validate()?;
         let square = |x: T| x * x;
         let noise = &config.noise;

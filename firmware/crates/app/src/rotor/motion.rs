@@ -1,8 +1,7 @@
 //! Set-points: ramps, moves, and the way into the schedule from any angle.
 
-use nav::rotor::{RotorConfig, RotorState, Schedule};
-
 use frames::math;
+use nav::rotor::{RotorConfig, RotorState, Schedule};
 
 /// Time in whole microseconds, so that hours of ticks add up without loss.
 pub(super) fn seconds(t_us: u32) -> f32 {

@@ -38,6 +38,8 @@ pub const CELLS: usize = 1024;
 
 /// Rate at which the friction fed forward has reached its full size, rad/s.
 const FRICTION_RATE: f32 = 0.0175;
+/// Share of the learning by which a cell is drawn towards its neighbours.
+const SMOOTHING: f32 = 0.1;
 
 /// What was learned of one motor. It is a constant of the unit: keep it and give it back after a restart.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,9 +50,6 @@ pub struct Ripple {
     /// The cell written last.
     last: usize,
 }
-
-/// Share of the learning by which a cell is drawn towards its neighbours.
-const SMOOTHING: f32 = 0.1;
 
 impl Ripple {
     /// Nothing learned yet, but the friction one believes in, Nm, and the most a cell may hold, Nm.
