@@ -15,7 +15,7 @@ use crate::command::Command;
 use crate::log::Level;
 use crate::nmea::{Line, Sentence};
 use crate::nmea_in::{self, Fix};
-use crate::settings::{Group, Invalid, Settings, Source};
+use crate::settings::{Group, Invalid, Position, Settings, Source};
 
 /// Longest command without its end, bytes.
 pub const LONGEST: usize = 64;
@@ -86,6 +86,16 @@ const fn setting(
     }
 }
 
+/// The place as somebody enters it, one figure after the other: what nobody has entered is the one in force, and with the
+/// first figure no receiver's any more.
+fn by_hand(settings: &mut Settings) -> &mut Position {
+    settings.installation.position = Position {
+        source: Source::Operator,
+        ..settings.position()
+    };
+    &mut settings.installation.position
+}
+
 impl PartialEq for Setting {
     fn eq(&self, other: &Self) -> bool {
         self.name == other.name
@@ -96,13 +106,13 @@ impl Setting {
     /// All that can be set here. The place is taken up by `align`, the others by `restart`, once saved.
     pub const ALL: [Self; 11] = [
         setting("latitude", "deg", Group::Installation, 5, |s| {
-            Field::Angle(&mut s.installation.position.latitude)
+            Field::Angle(&mut by_hand(s).latitude)
         }),
         setting("longitude", "deg", Group::Installation, 5, |s| {
-            Field::Angle(&mut s.installation.position.longitude)
+            Field::Angle(&mut by_hand(s).longitude)
         }),
         setting("height", "m", Group::Installation, 1, |s| {
-            Field::Number(&mut s.installation.position.height)
+            Field::Number(&mut by_hand(s).height)
         }),
         setting("mount-heading", "deg", Group::Installation, 3, |s| {
             Field::Angle(&mut s.installation.mounting.heading)
@@ -130,7 +140,7 @@ impl Setting {
         }),
     ];
 
-    /// Its value, in the unit in which it is typed.
+    /// Its value, in the unit in which it is typed; of the place, the one to align with.
     pub fn get(&self, settings: &Settings) -> f32 {
         let mut copy = *settings;
         match (self.field)(&mut copy) {
@@ -155,9 +165,6 @@ impl Setting {
                 reason = "saturates, out of its range"
             )]
             Field::Count(count) => *count = if value < 0.0 { u32::MAX } else { value as u32 },
-        }
-        if self.group == Group::Installation {
-            settings.installation.position.source = Source::Operator;
         }
         settings.validate(self.group)?;
         Ok(settings)
@@ -531,6 +538,30 @@ mod tests {
         let set = by_name("longitude").put(Settings::default(), -8.5).unwrap();
         assert_eq!(set.position().source, Source::Operator);
         assert!((by_name("longitude").get(&set) + 8.5).abs() < 1e-5);
+    }
+
+    /// A unit that knows its place from a receiver keeps it: whatever is entered, the rest of the place is the receiver's.
+    #[test]
+    fn what_is_not_entered_stays_as_it_was() {
+        let received = Settings {
+            last_position: Position {
+                latitude: 1.05,
+                longitude: 0.2,
+                height: 30.0,
+                source: Source::Gnss,
+            },
+            ..Settings::default()
+        };
+        assert!((by_name("latitude").get(&received) - 1.05 / DEG as f32).abs() < 1e-4);
+        let mounted = by_name("mount-heading").put(received, 90.0).unwrap();
+        assert_eq!(mounted.position(), received.last_position);
+        let higher = by_name("height").put(received, 100.0).unwrap();
+        let expected = Position {
+            height: 100.0,
+            source: Source::Operator,
+            ..received.last_position
+        };
+        assert_eq!(higher.position(), expected);
     }
 
     #[test]

@@ -97,6 +97,14 @@ async fn heed<M: RawMutex, F: NorFlash>(shared: &Shared<M>, store: &mut Store<F>
         height: last.height,
         source: Source::Gnss,
     };
+    let received = Settings {
+        last_position: position,
+        ..shared.settings()
+    };
+    if received.validate(Group::LastPosition).is_err() {
+        // Near a pole: no place to align at, and none to keep.
+        return;
+    }
     shared.change(|settings| settings.last_position = position);
     // What fails here fails at `save` as well, which says so.
     let _ = store.save_position(&position).await;
@@ -170,14 +178,17 @@ async fn obey<M: RawMutex, F: NorFlash>(
             shared.set_log_level(level);
             (true, level.name())
         }
-        Request::Set(setting, value) => match setting.put(shared.settings(), value) {
-            Ok(changed) => {
-                // Of what was read before, only this: the alignment may have found something since.
-                shared.change(|settings| settings.take(&changed, setting.group));
-                (true, taken_up(setting.group))
+        Request::Set(setting, value) => {
+            let mut refused = None;
+            shared.change(|settings| match setting.put(*settings, value) {
+                Ok(changed) => *settings = changed,
+                Err(invalid) => refused = Some(invalid),
+            });
+            if let Some(invalid) = refused {
+                return port.answer(setting.expected(invalid)).await;
             }
-            Err(invalid) => return port.answer(setting.expected(invalid)).await,
-        },
+            (true, taken_up(setting.group))
+        }
         Request::Save => match save(store, &shared.settings()).await {
             Ok(()) => (true, "saved"),
             Err(error) => (false, why(error)),

@@ -360,20 +360,6 @@ impl Settings {
         }
     }
 
-    /// Takes over one group of others.
-    pub fn take(&mut self, other: &Self, group: Group) {
-        match group {
-            Group::Identity => self.identity = other.identity,
-            Group::Installation => self.installation = other.installation,
-            Group::LastPosition => self.last_position = other.last_position,
-            Group::Motion => self.motion = other.motion,
-            Group::Output => self.output = other.output,
-            Group::Imu => self.imu = other.imu,
-            Group::Thermal => self.thermal = other.thermal,
-            Group::Encoder => self.encoder = other.encoder,
-        }
-    }
-
     /// Whether every value of a group can be.
     ///
     /// # Errors
