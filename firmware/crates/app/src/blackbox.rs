@@ -32,9 +32,11 @@ use frames::wording;
 
 use crate::command::ModeName;
 use crate::fault::{Fault, Task};
-use crate::figure::deg;
+use crate::figure::{deg, hex_digit};
 use crate::hal::ResetCause;
 use crate::nmea::{Line, Sentence};
+
+pub use crate::figure::seconds;
 
 /// Crashes in a row after which the motor is kept off: one may be chance, a second one bad luck.
 pub const CRASHES: u32 = 3;
@@ -305,10 +307,7 @@ fn letters(line: &mut Line, bytes: impl Iterator<Item = u8>) {
 }
 
 fn hex(word: u32) -> impl Iterator<Item = u8> {
-    (0..8).rev().map(move |k| {
-        let nibble = (word >> (4 * k) & 15) as u8;
-        nibble + if nibble < 10 { b'0' } else { b'A' - 10 }
-    })
+    (0..8).rev().map(move |k| hex_digit((word >> (4 * k) & 15) as u8))
 }
 
 wording!(Entry, |self, say| {
@@ -671,11 +670,6 @@ impl<M: Memory> BlackBox<M> {
             self.counters.write(&mut self.memory);
         }
     }
-}
-
-/// Whole seconds: 136 years' worth.
-pub fn seconds(us: u64) -> u32 {
-    u32::try_from(us / 1_000_000).unwrap_or(u32::MAX)
 }
 
 #[cfg(test)]

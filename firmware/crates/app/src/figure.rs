@@ -34,6 +34,16 @@ pub(crate) fn deg_h(rate: f32) -> Figure {
     figure(rate / DEG_PER_HOUR as f32, 1)
 }
 
+/// Whole seconds of a time in µs: 136 years' worth.
+pub fn seconds(us: u64) -> u32 {
+    u32::try_from(us / 1_000_000).unwrap_or(u32::MAX)
+}
+
+/// The digit of a number below 16, in upper case.
+pub(crate) const fn hex_digit(nibble: u8) -> u8 {
+    nibble + if nibble < 10 { b'0' } else { b'A' - 10 }
+}
+
 impl Figure {
     /// With its sign, always.
     pub(crate) const fn signed(self) -> Self {

@@ -24,6 +24,7 @@ use frames::{Attitude, AttitudeSd, math};
 use heapless::Vec;
 
 use crate::command::ModeName;
+use crate::figure::{hex_digit, seconds};
 
 /// Longest sentence, `$` and CR LF included, bytes.
 pub const LONGEST: usize = 82;
@@ -267,11 +268,6 @@ pub fn answer(ok: bool, text: &str) -> Sentence {
     line.end()
 }
 
-/// Whole seconds: 136 years' worth.
-fn seconds(us: u64) -> u32 {
-    u32::try_from(us / 1_000_000).unwrap_or(u32::MAX)
-}
-
 fn degrees(angle: f32) -> f32 {
     angle / DEG as f32
 }
@@ -407,10 +403,9 @@ impl Line {
     #[inline(never)]
     pub(crate) fn end(mut self) -> Sentence {
         let sum = self.0.iter().skip(1).fold(0, |sum, byte| sum ^ byte);
-        let hex = |nibble: u8| nibble + if nibble < 10 { b'0' } else { b'A' - 10 };
         let _ = self
             .0
-            .extend_from_slice(&[b'*', hex(sum >> 4), hex(sum & 15), b'\r', b'\n']);
+            .extend_from_slice(&[b'*', hex_digit(sum >> 4), hex_digit(sum & 15), b'\r', b'\n']);
         Sentence(self.0)
     }
 }
