@@ -33,8 +33,10 @@ use crate::tap::Tap;
 const IDLE: Duration = Duration::from_millis(10);
 /// Faster than this, m/s, a base is under way: receivers that stand say up to 0.3.
 const UNDER_WAY: f32 = 0.5;
-/// So often in a row a receiver says so before it is believed.
+/// At so many instants in a row a receiver says so before it is believed.
 const SURE: u8 = 2;
+/// Sentences closer to each other than this are of one instant, µs: RMC and VTG come one after the other.
+const INSTANT_US: u64 = 80_000;
 /// What a receiver has said holds for so long, µs.
 const SAID_US: u64 = 3_000_000;
 /// The rotor stands once it has not moved by more than a quarter of what a rest allows for so long, s.
@@ -271,9 +273,9 @@ fn begin<M: RawMutex>(
 /// What a receiver of satellite navigation has said of the ground.
 #[derive(Default)]
 struct Ground {
-    /// How often in a row the base was under way.
+    /// At how many instants in a row the base was under way.
     moving: u8,
-    /// When that was said last, µs.
+    /// The last of them, µs.
     said_us: u64,
 }
 
@@ -281,12 +283,12 @@ impl Ground {
     /// Whether the base has just begun to be under way.
     fn hear(&mut self, speed: f32, t_us: u64) -> bool {
         let was = self.moves(t_us);
-        self.moving = if speed > UNDER_WAY {
-            self.moving.saturating_add(1)
-        } else {
-            0
-        };
-        self.said_us = t_us;
+        if speed <= UNDER_WAY {
+            self.moving = 0;
+        } else if self.moving == 0 || t_us.saturating_sub(self.said_us) >= INSTANT_US {
+            self.moving = self.moving.saturating_add(1);
+            self.said_us = t_us;
+        }
         self.moves(t_us) && !was
     }
 
@@ -336,8 +338,10 @@ impl Correction {
         let mut bias_s = self.thermal.bias_s(sample.temperature_c);
         if let Some(gyros) = &self.imu.calibration {
             corrected = gyros.corrected(&corrected);
-            // At the temperature of the calibration its biases say all.
-            bias_s -= self.thermal.bias_s(self.imu.temperature_c);
+            // At the temperature of the calibration its biases say all, where it has any.
+            if gyros.bias_s != Vec3::zero() {
+                bias_s -= self.thermal.bias_s(self.imu.temperature_c);
+            }
         }
         corrected.dtheta_s -= bias_s * corrected.dt;
         corrected
@@ -479,5 +483,83 @@ impl Calibrating {
             }
         }
         Ok(Progress::None)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use drivers::Channels;
+
+    use super::*;
+    use crate::settings::ThermalRow;
+
+    #[test]
+    fn a_base_is_under_way_at_the_second_instant_of_a_receiver() {
+        let mut ground = Ground::default();
+        // RMC and VTG of a bad instant, and of a good one.
+        let said = [
+            (1_000_000, 2.0),
+            (1_010_000, 2.0),
+            (2_000_000, 0.1),
+            (2_010_000, 0.1),
+            (3_000_000, 2.0),
+            (3_010_000, 2.0),
+            (4_000_000, 2.0),
+            (4_010_000, 2.0),
+        ];
+        let begins = said.map(|(t_us, speed)| ground.hear(speed, t_us));
+        assert_eq!(begins, [false, false, false, false, false, false, true, false]);
+        assert!(ground.moves(4_000_000 + SAID_US) && !ground.moves(4_000_001 + SAID_US));
+    }
+
+    /// A calibration without biases leaves those of the thermal table what they are.
+    #[test]
+    fn biases_are_those_of_the_calibration_or_of_the_thermal_table() {
+        let row = |temperature_c, bias| ThermalRow {
+            temperature_c,
+            bias_s: [bias; 3],
+        };
+        let mut thermal = Thermal {
+            used: 2,
+            ..Thermal::default()
+        };
+        thermal.rows[..2].copy_from_slice(&[row(0.0, 1e-4), row(40.0, 3e-4)]);
+        let found = |bias_s| Calibration {
+            bias_s,
+            k_xz: 0.0,
+            k_yz: 0.0,
+            s_z: 0.0,
+            bias_sd: 0.0,
+            column_sd: 0.0,
+            scatter: 0.0,
+            rest: 0.0,
+            turn: 0.0,
+            turned: 0.0,
+        };
+        let sample = TimedSample {
+            t_us: 0,
+            sample: Sample {
+                dtheta_s: Vec3::zero(),
+                dv_s: Vec3::zero(),
+                dt: 0.005,
+                gap: 0.0,
+            },
+            alpha: Some(0.0),
+            temperature_c: 40.0,
+            saturated: Channels::NONE,
+        };
+        for (calibration, bias) in [
+            (None, 3e-4),
+            (Some(found(Vec3::zero())), 3e-4),
+            // Found at 20 °C, where the table has 2e-4.
+            (Some(found(Vec3::new(5e-4, 5e-4, 5e-4))), 6e-4),
+        ] {
+            let imu = Imu {
+                calibration,
+                temperature_c: 20.0,
+            };
+            let corrected = Correction { imu, thermal }.of(&sample);
+            assert!((corrected.dtheta_s.x() / 0.005 + bias).abs() < 1e-9, "{calibration:?}");
+        }
     }
 }

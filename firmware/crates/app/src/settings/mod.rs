@@ -264,7 +264,8 @@ pub struct Thermal {
 
 impl Thermal {
     /// Bias at a temperature, rad/s: linear between the rows, as in the first and the last one beyond them; zero
-    /// without rows. Add the difference to the temperature of the calibration, not the whole of it.
+    /// without rows. Beside the biases of a calibration it is the difference to that at the
+    /// calibration's temperature that counts.
     pub fn bias_s(&self, temperature_c: f32) -> Vec3<Sensor> {
         let rows = self.rows.get(..usize::from(self.used)).unwrap_or(&self.rows);
         let after = rows.iter().position(|row| row.temperature_c >= temperature_c);
