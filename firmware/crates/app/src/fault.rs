@@ -187,6 +187,7 @@ impl Fault {
     /// | driver | 2 ms | every tick | 3 tries: heat goes away, a short does not |
     /// | stall | 300 ms | 50 ms at the voltage limit, or 2° behind at 20 °/s and the time to get there | 1 try |
     /// | home switch on the wrong side | 20 s | the rotor must pass the edge: a leg of 18 s | latched |
+    /// | calibration or search without end | 60 s | what the modes give them | latched |
     /// | other rotor faults | 300 ms | each tick; the calibration's by its phases | latched |
     /// | task overrun | 65 ms | 50 ms for sampling and alignment, 20 for the motor, and the supervisor's period | reset |
     /// | self-test | 10 s | its timeout | 3 tries |
@@ -204,6 +205,7 @@ impl Fault {
             Self::Driver => retry(2, 1000, 3),
             Self::Stall { .. } => retry(300, 2000, 1),
             Self::Rotor(RotorFault::HomeMismatch { .. }) => latch(20_000),
+            Self::Rotor(RotorFault::Endless) => latch(60_000),
             Self::Rotor(_) | Self::RotorRefused(_) => latch(300),
             Self::TaskOverrun { .. } => Rule {
                 within_ms: 65,

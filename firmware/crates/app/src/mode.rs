@@ -370,7 +370,7 @@ impl State {
                 homed_for(goal, a)
             }
             (Mode::Homing(_), Input::Tick) if in_mode_us > HOMING_US => {
-                fault_in(self.mode, Fault::RotorRefused(rotor::Refused::Busy), attempts, a)
+                fault_in(self.mode, Fault::Rotor(rotor::RotorFault::Endless), attempts, a)
             }
 
             (mode @ (Mode::Coarse | Mode::Fine | Mode::Aligned), Input::Alignment(told)) => {
@@ -905,7 +905,13 @@ mod tests {
             })
         ));
         let (state, _) = in_mode(Mode::Homing(Homing::Searching)).step(&Input::Tick, HOMING_US + 1);
-        assert_eq!(state.mode.name(), ModeName::Fault);
+        assert!(matches!(
+            state.mode,
+            Mode::Fault(Faulted {
+                fault: Fault::Rotor(rotor::RotorFault::Endless),
+                latched: true,
+            })
+        ));
     }
 
     #[test]

@@ -60,6 +60,8 @@ pub enum RotorFault {
         /// As measured.
         measured: f32,
     },
+    /// Calibration or search have not ended in the time that they have for it.
+    Endless,
     /// The contacts of the home switch contradict each other.
     HomeInvalid,
     /// No edge of the home switch where one must be.
@@ -113,6 +115,7 @@ wording!(RotorFault, |self, say| {
             figure(measured, 1),
             expected
         ),
+        Self::Endless => say!("calibration and search do not end: check free travel, friction and a base that moves"),
         Self::HomeInvalid => say!("the contacts of the home switch contradict each other: check its wiring"),
         Self::HomeNotFound { searched } => {
             say!("no edge of the home switch within {} deg", deg(searched, 0));
