@@ -18,7 +18,7 @@ use app::blackbox::BlackBox;
 use app::hal::{ChangeOver, MagneticEncoder};
 use app::motor::Drive;
 use app::output::Port;
-use app::rotor::Rotor;
+use app::rotor::{self, Rotor};
 use app::settings::{HARMONICS, OutputConfig, Settings, Store};
 use app::shared::Shared;
 use app::{alignment, console, motor, output, report, sampling, supervisor};
@@ -97,12 +97,16 @@ fn shared(settings: Settings) -> &'static Bus {
 
 fn rotor(settings: &Settings) -> &'static mut Rotor {
     let built = params::rotor();
-    ROTOR.init_with(
-        || match Rotor::new(settings.rotor(built)).or_else(|_| Rotor::new(built)) {
-            Ok(rotor) => rotor,
-            Err(_) => defmt::panic!("params.rs: the rotor's figures are refused"),
-        },
-    )
+    let set = settings.rotor(built);
+    // What was found of this unit, the encoder's zero above all, holds whatever the motion.
+    let as_built = rotor::Config {
+        schedule: built.schedule,
+        ..set
+    };
+    ROTOR.init_with(|| match Rotor::new(set).or_else(|_| Rotor::new(as_built)) {
+        Ok(rotor) => rotor,
+        Err(_) => defmt::panic!("params.rs: the rotor's figures are refused"),
+    })
 }
 
 fn aligner(settings: &Settings) -> &'static mut Aligner {

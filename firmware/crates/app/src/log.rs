@@ -35,10 +35,22 @@ pub fn started(version: &str, start: &Start) {
     line!(info, "{}", start);
 }
 
-/// A line for each group of settings that is not as it was last saved.
+/// A line for each group of settings that is not as it was last saved, and for what says nothing of its group.
 pub fn settings(report: &settings::Report) {
     for (group, origin) in report.wanting() {
         line!(warn, "settings: {} {}", group, origin);
+    }
+    if report.error.is_some() {
+        line!(
+            error,
+            "settings: the flash cannot be read, the defaults hold for the rest: check its supply and its protection"
+        );
+    } else if report.damaged > 0 {
+        line!(
+            warn,
+            "settings: {} damaged stretches of flash, see what show says: a group whose record was there holds an older value or the default",
+            report.damaged
+        );
     }
 }
 
