@@ -377,6 +377,32 @@ fn the_simulated_unit_is_inspected() {
     }
 }
 
+/// Answers of the unit stand among the lines of its log where they came: no clock goes back, and nothing looks like a reset.
+#[test]
+fn answers_stand_in_the_log_at_their_time() {
+    let dir = TempDir::new().unwrap();
+    let arguments = [
+        "unit",
+        "--seconds",
+        "20",
+        "--quiet",
+        "--type",
+        "0.1 version",
+        "--type",
+        "20.2 show",
+    ];
+    let printed = hal_sim(dir.path(), &arguments, b"").stdout;
+    let text = String::from_utf8_lossy(&printed);
+    let log: Vec<_> = text.lines().filter(|line| line.starts_with('[')).collect();
+    assert!(
+        log.iter().filter(|line| line.contains("$PRNSA,")).count() > 10,
+        "{text}"
+    );
+    let times = log.iter().map(|line| line[1..13].trim().parse::<f64>().unwrap());
+    assert!(times.is_sorted(), "{text}");
+    assert_eq!(of_bytes(&printed, None).unwrap().resets, 0);
+}
+
 #[test]
 fn what_is_no_log_is_refused_in_words() {
     let dir = TempDir::new().unwrap();

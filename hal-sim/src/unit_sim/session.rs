@@ -167,14 +167,23 @@ impl<const B: usize> Session<B> {
     }
 
     fn tell(&self, observer: &mut dyn Observer) {
-        for line in self.bench.record.borrow_mut().lines.drain(..) {
+        let mut record = self.bench.record.borrow_mut();
+        let (lines, sentences) = (record.lines.split_off(0), record.sentences.split_off(0));
+        let estimates = record.estimates.split_off(0);
+        drop(record);
+        // In the order of time: a log whose clock goes back is that of a unit that was reset.
+        let mut sentences = sentences.into_iter().peekable();
+        for line in lines {
+            while let Some(sentence) = sentences.next_if(|sentence| sentence.ended_ns < line.t_us * 1000) {
+                observer.sentence(&sentence);
+            }
             observer.line(&line);
         }
-        for navigation in self.bench.record.borrow_mut().estimates.drain(..) {
-            observer.estimate(&navigation);
-        }
-        for sentence in self.bench.record.borrow_mut().sentences.drain(..) {
+        for sentence in sentences {
             observer.sentence(&sentence);
+        }
+        for navigation in estimates {
+            observer.estimate(&navigation);
         }
         observer.time(self.now_us() as f64 * 1e-6);
     }
