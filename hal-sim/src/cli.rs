@@ -1497,7 +1497,7 @@ fn inspect(args: &InspectArgs) -> Done {
     let elf = args.elf.as_deref().map(Elf::read).transpose().map_err(words)?;
     // A log's own errors do not begin with its name, those of files do.
     let named = |e: inspect::InspectError| match e {
-        inspect::InspectError::Empty | inspect::InspectError::NeedsElf | inspect::InspectError::NotOurs { .. } => {
+        inspect::InspectError::Empty | inspect::InspectError::NeedsElf | inspect::InspectError::NotOurs => {
             format!("{}: {e}", args.log.display())
         }
         other => other.to_string(),

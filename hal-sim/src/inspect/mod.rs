@@ -71,10 +71,7 @@ pub enum InspectError {
         understood: u64,
     },
     /// Nothing in the log is the unit's.
-    NotOurs {
-        /// Lines that look like ones of a log.
-        lines: u64,
-    },
+    NotOurs,
 }
 
 impl fmt::Display for InspectError {
@@ -98,10 +95,9 @@ impl fmt::Display for InspectError {
                  must be the very file that was flashed, of the same commit, features and profile",
                 elf.display()
             ),
-            Self::NotOurs { lines } => write!(
-                f,
-                "no line of the unit's log among {lines}: expected are a raw stream of defmt, or the output of \
-                 probe-rs, defmt-print, `cargo emulate` or `hal-sim unit`"
+            Self::NotOurs => f.write_str(
+                "no line of the unit's log in it: expected are a raw stream of defmt, or the output of probe-rs, \
+                 defmt-print, `cargo emulate` or `hal-sim unit`; samples in CSV are for `replay`",
             ),
         }
     }
@@ -223,7 +219,7 @@ impl Reader {
             _ => {}
         }
         if timeline.understood == 0 && timeline.sentences == 0 {
-            return Err(InspectError::NotOurs { lines: timeline.lines });
+            return Err(InspectError::NotOurs);
         }
         Ok(timeline)
     }
