@@ -22,7 +22,7 @@ use hal_sim::config::ConfigProblem;
 use hal_sim::inspect::{self, defmt::Elf, live, live::Tail};
 use hal_sim::link::serve::{Place, Served};
 use hal_sim::link::{self, Link};
-use hal_sim::log::{LogError, LogReader, LogWarning, LogWriter, UnitStatus, convert_from};
+use hal_sim::log::{LogError, LogReader, LogWarning, LogWriter, UnitStatus, convert_from, not_itself};
 use hal_sim::monte_carlo::{self, MethodReport, READY_SD_DEG, Statistics};
 use hal_sim::observability::{self, Attitude, Axis, Segment};
 use hal_sim::replay::{self, Replay};
@@ -1395,6 +1395,8 @@ fn observability_table(found: &observability::Report) -> String {
 
 fn allan(args: &AllanArgs, quiet: bool) -> Done {
     args.unit.as_deref().map_or(Ok(()), has_folder)?;
+    let mut written = args.unit.iter().chain([&args.plot]);
+    written.try_for_each(|path| not_itself(&args.log, path))?;
     let named = |e| format!("{}: {e}", args.log.display());
     let (log, bar) = open_log(&args.log, quiet)?;
     let report = allan::of_reader(log).map_err(|e| match e {
@@ -1421,7 +1423,10 @@ fn allan(args: &AllanArgs, quiet: bool) -> Done {
 }
 
 fn calibrate(args: &CalibrateArgs, quiet: bool) -> Done {
-    args.corrected.as_deref().map_or(Ok(()), has_folder)?;
+    if let Some(path) = &args.corrected {
+        has_folder(path)?;
+        not_itself(&args.log, path)?;
+    }
     let unit = args.unit.as_deref().map(Unit::load).transpose().map_err(words)?;
     let setup = calibrate::Setup {
         unit: unit.unwrap_or_default(),
@@ -1493,7 +1498,10 @@ fn reproduce(args: &ReproduceArgs, quiet: bool) -> Done {
 }
 
 fn inspect(args: &InspectArgs) -> Done {
-    args.csv.iter().chain(&args.svg).try_for_each(|path| has_folder(path))?;
+    for path in args.csv.iter().chain(&args.svg) {
+        has_folder(path)?;
+        not_itself(&args.log, path)?;
+    }
     let elf = args.elf.as_deref().map(Elf::read).transpose().map_err(words)?;
     // A log's own errors do not begin with its name, those of files do.
     let named = |e: inspect::InspectError| match e {

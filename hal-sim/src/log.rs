@@ -557,6 +557,20 @@ impl<R: BufRead> Iterator for LogReader<R> {
     }
 }
 
+/// That what is made of the log `from` does not go over it: created before it is read, it would be empty.
+///
+/// # Errors
+/// Where `to` is `from`.
+pub fn not_itself(from: &Path, to: &Path) -> Result<(), String> {
+    let same = from
+        .canonicalize()
+        .is_ok_and(|from| to.canonicalize().is_ok_and(|to| from == to));
+    if same {
+        return Err(format!("{}: the log itself cannot be written", to.display()));
+    }
+    Ok(())
+}
+
 /// Writes a log, whatever it is, as CSV; the rows that were written.
 ///
 /// # Errors
@@ -575,13 +589,7 @@ pub fn convert_from<R: BufRead>(
     to: &Path,
 ) -> Result<(u64, Vec<LogWarning>), String> {
     let failed = |error: io::Error| format!("cannot write {}: {error}", to.display());
-    // Created before it is read, it would be empty.
-    if from
-        .canonicalize()
-        .is_ok_and(|from| to.canonicalize().is_ok_and(|to| from == to))
-    {
-        return Err(format!("{}: the log itself cannot be written", to.display()));
-    }
+    not_itself(from, to)?;
     let mut out: Option<LogWriter<_>> = None;
     let mut rows = 0;
     for row in &mut reader {

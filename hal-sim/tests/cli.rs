@@ -356,6 +356,30 @@ fn mistakes_are_told_before_the_work_with_what_to_do_next() {
     assert!(!dir.path().join("report").exists(), "nothing is written for a mistake");
 }
 
+/// What is made of a log does not go over it, and a port that is not there costs no recording.
+#[test]
+fn a_log_is_not_written_over() {
+    let dir = TempDir::new().unwrap();
+    fs::write(dir.path().join("a"), "kept").unwrap();
+    for arguments in [
+        &["convert", "a", "a"][..],
+        &["calibrate", "a", "--corrected", "./a"],
+        &["allan", "a", "--unit", "a"],
+        &["allan", "a", "--plot", "a"],
+        &["inspect", "a", "--csv", "a"],
+        &["inspect", "a", "--svg", "a"],
+        &["link", "/dev/no-such-port", "--record", "a"],
+    ] {
+        let output = hal_sim(dir.path(), arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {output:?}");
+        assert_eq!(
+            fs::read_to_string(dir.path().join("a")).unwrap(),
+            "kept",
+            "{arguments:?}"
+        );
+    }
+}
+
 #[test]
 fn completions_are_a_script_that_the_shell_reads() {
     let dir = TempDir::new().unwrap();

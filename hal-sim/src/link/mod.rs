@@ -135,6 +135,8 @@ impl Link {
     /// # Errors
     /// [`LinkError`], where the port or the file cannot be opened.
     pub fn open(port: Port, record: Option<&Path>) -> Result<Self, LinkError> {
+        // First of all: without a port a recording of before stays.
+        let (mut rx, tx) = port.open()?;
         let record = match record {
             None => None,
             Some(path) => {
@@ -142,7 +144,6 @@ impl Link {
                 Some((path.to_owned(), BufWriter::new(file)))
             }
         };
-        let (mut rx, tx) = port.open()?;
         let (sender, events) = mpsc::channel();
         let link = Self {
             port,
