@@ -1271,16 +1271,16 @@ fn soak(args: &SoakArgs, quiet: bool) -> Done {
 
 /// The closing table of a run of the unit.
 fn unit_table(result: &UnitResult) -> String {
-    let time = |t: Option<f64>| t.map_or("never".to_owned(), |t| format!("{t:.1} s"));
+    let when = |t: Option<f64>, then: &str, never: &str| t.map_or(never.to_owned(), |t| format!("{then} at {t:.1} s"));
     let mut text = format!(
-        "{}, seed {}, {}: {} at {:.1} s; began to align at {}, first aligned at {}\n",
+        "{}, seed {}, {}: {} at {:.1} s; {}, {}\n",
         result.scenario,
         result.seed,
         result.method.name(),
         ending(result.state),
         result.t_s,
-        time(result.aligning_at_s),
-        time(result.aligned_at_s)
+        when(result.aligning_at_s, "began to align", "never began to align"),
+        when(result.aligned_at_s, "first aligned", "never aligned")
     );
     text += "modes:";
     for at in &result.modes {
