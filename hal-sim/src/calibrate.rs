@@ -4,17 +4,16 @@
 //! after it is the turn, pauses and reversals included. The mathematics is the unit's own, [`nav::calibration`], in f64.
 
 use std::collections::VecDeque;
-use std::io::{self, BufRead};
-use std::path::{Path, PathBuf};
+use std::io::BufRead;
+use std::path::Path;
 
 use frames::units::{ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, PPM};
 use frames::{Attitude, Body, Vec3};
 use nav::calibration::{self, Calibration, CalibrationConfig, CalibrationError, Calibrator, REST_TRAVEL};
 use nav::earth::{Earth, EarthError};
-use nav::increment::Sample;
 use serde::Serialize;
 
-use crate::log::{LogError, LogReader, LogRow, LogWriter};
+use crate::log::{ConvertError, LogError, LogReader, LogRow, convert_from};
 use crate::unit::Unit;
 
 /// How long before the rotor is seen to turn it may have begun, s. It is seen once it has left the travel allowed at rest,
@@ -53,8 +52,6 @@ pub enum CalibrateError {
     Place(EarthError),
     /// The encoder stood still throughout.
     NoTurn,
-    /// The corrected log cannot be written.
-    Write(PathBuf, io::Error),
 }
 
 impl core::fmt::Display for CalibrateError {
@@ -64,7 +61,6 @@ impl core::fmt::Display for CalibrateError {
             Self::Calibration(e) => e.fmt(f),
             Self::Place(e) => e.fmt(f),
             Self::NoTurn => f.write_str("the rotor never turned: record a rest, then a turn"),
-            Self::Write(path, e) => write!(f, "cannot write {}: {e}", path.display()),
         }
     }
 }
@@ -171,17 +167,6 @@ impl Report {
     }
 }
 
-fn sample(row: &LogRow) -> Sample<f64> {
-    // Across a gap the row's means cover its last interval alone.
-    let dt = row.gap.as_ref().map_or(row.dt_s, |gap| gap.nominal_dt_s);
-    Sample {
-        dtheta_s: row.w_is_s * dt,
-        dv_s: row.f_is_s * dt,
-        dt,
-        gap: row.dt_s - dt,
-    }
-}
-
 /// Earth's rate in a level housing, rad/s.
 fn earth_rate(stand: &Stand) -> Result<Vec3<Body, f64>, EarthError> {
     let earth = Earth::new(stand.latitude_deg * DEG, 0.0)?;
@@ -228,11 +213,11 @@ pub fn of_reader<R: BufRead>(log: LogReader<R>, setup: &Setup) -> Result<(Calibr
             for (sample, encoder) in latest.drain(..) {
                 calibrator.turn(&sample, encoder)?;
             }
-            calibrator.turn(&sample(&row), row.encoder)?;
+            calibrator.turn(&row.sample(), row.encoder)?;
             continue;
         }
         length += row.dt_s;
-        latest.push_back((sample(&row), row.encoder));
+        latest.push_back((row.sample(), row.encoder));
         while length > BEGINNING
             && let Some((sample, encoder)) = latest.pop_front()
         {
@@ -250,21 +235,10 @@ pub fn of_reader<R: BufRead>(log: LogReader<R>, setup: &Setup) -> Result<(Calibr
 /// Writes the log `from` as `to`, its gyros corrected.
 ///
 /// # Errors
-/// [`CalibrateError`].
-pub fn correct_log(from: &Path, to: &Path, calibration: &Calibration<f64>) -> Result<(), CalibrateError> {
-    let failed = |e| CalibrateError::Write(to.to_owned(), e);
-    let mut out: Option<LogWriter<_>> = None;
-    for row in LogReader::open(from)? {
-        let row = row?;
-        let out = match &mut out {
-            Some(out) => out,
-            none => none.insert(LogWriter::create(to, row.temperature_c.is_some()).map_err(failed)?),
-        };
-        let Sample { dtheta_s, dv_s, dt, .. } = calibration.corrected(&sample(&row));
-        out.write(row.t_s, dt, dtheta_s, dv_s, row.encoder, row.temperature_c)
-            .map_err(failed)?;
-    }
-    out.map_or(Ok(()), |out| out.finish().map(drop).map_err(failed))
+/// [`ConvertError`].
+pub fn correct_log(from: &Path, to: &Path, calibration: &Calibration<f64>) -> Result<(), ConvertError> {
+    let corrected = |row: &LogRow| calibration.corrected(&row.sample());
+    convert_from(&mut LogReader::open(from)?, from, to, corrected).map(drop)
 }
 
 #[cfg(test)]
@@ -272,6 +246,7 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
+    use crate::log::LogWriter;
     use crate::scenario::Scenario;
     use crate::sensors::Imu;
 
@@ -355,6 +330,11 @@ mod tests {
         let (_, again) = of_log(&corrected, &setup(Some(STAND))).unwrap();
         assert!(again.bias_deg_h.iter().all(|b| b.abs() < 0.05), "{again:?}");
         assert!(again.k_xz_arcmin.abs() < 1e-3 && again.s_z_ppm.abs() < 0.1, "{again:?}");
+
+        // In its own place it would be gone.
+        let whole = std::fs::read(&log).unwrap();
+        assert!(matches!(correct_log(&log, &log, &c), Err(ConvertError::Itself(_))));
+        assert_eq!(std::fs::read(&log).unwrap(), whole);
     }
 
     #[test]

@@ -22,7 +22,7 @@ use hal_sim::config::ConfigProblem;
 use hal_sim::inspect::{self, defmt::Elf, live, live::Tail};
 use hal_sim::link::serve::{Place, Served};
 use hal_sim::link::{self, Link};
-use hal_sim::log::{LogError, LogReader, LogWarning, LogWriter, UnitStatus, convert_from, not_itself};
+use hal_sim::log::{LogError, LogReader, LogRow, LogWarning, LogWriter, UnitStatus, convert_from, not_itself};
 use hal_sim::monte_carlo::{self, MethodReport, READY_SD_DEG, Statistics};
 use hal_sim::observability::{self, Attitude, Axis, Segment};
 use hal_sim::replay::{self, Replay};
@@ -1047,10 +1047,10 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
 
 fn convert_log(from: &Path, to: &Path, quiet: bool) -> Done {
     has_folder(to)?;
-    let (reader, bar) = open_log(from, quiet)?;
-    let (rows, warnings) = convert_from(reader, from, to)?;
+    let (mut reader, bar) = open_log(from, quiet)?;
+    let rows = convert_from(&mut reader, from, to, LogRow::sample).map_err(words)?;
     bar.finish_and_clear();
-    for warning in warnings {
+    for warning in reader.warnings() {
         warn(&warning.to_string());
     }
     if !quiet {
@@ -1396,7 +1396,9 @@ fn observability_table(found: &observability::Report) -> String {
 fn allan(args: &AllanArgs, quiet: bool) -> Done {
     args.unit.as_deref().map_or(Ok(()), has_folder)?;
     let mut written = args.unit.iter().chain([&args.plot]);
-    written.try_for_each(|path| not_itself(&args.log, path))?;
+    written
+        .try_for_each(|path| not_itself(&args.log, path))
+        .map_err(words)?;
     let named = |e| format!("{}: {e}", args.log.display());
     let (log, bar) = open_log(&args.log, quiet)?;
     let report = allan::of_reader(log).map_err(|e| match e {
@@ -1425,7 +1427,7 @@ fn allan(args: &AllanArgs, quiet: bool) -> Done {
 fn calibrate(args: &CalibrateArgs, quiet: bool) -> Done {
     if let Some(path) = &args.corrected {
         has_folder(path)?;
-        not_itself(&args.log, path)?;
+        not_itself(&args.log, path).map_err(words)?;
     }
     let unit = args.unit.as_deref().map(Unit::load).transpose().map_err(words)?;
     let setup = calibrate::Setup {
@@ -1440,14 +1442,14 @@ fn calibrate(args: &CalibrateArgs, quiet: bool) -> Done {
         rest_s: args.rest_s,
     };
     let named = |e: CalibrateError| match e {
-        CalibrateError::Log(_) | CalibrateError::Write(..) => e.to_string(),
+        CalibrateError::Log(_) => e.to_string(),
         other => format!("{}: {other}", args.log.display()),
     };
     let (log, bar) = open_log(&args.log, quiet)?;
     let (calibration, report) = calibrate::of_reader(log, &setup).map_err(named)?;
     bar.finish_and_clear();
     if let Some(corrected) = &args.corrected {
-        calibrate::correct_log(&args.log, corrected, &calibration).map_err(named)?;
+        calibrate::correct_log(&args.log, corrected, &calibration).map_err(words)?;
     }
     if args.json {
         print_json(&report)?;
@@ -1500,7 +1502,7 @@ fn reproduce(args: &ReproduceArgs, quiet: bool) -> Done {
 fn inspect(args: &InspectArgs) -> Done {
     for path in args.csv.iter().chain(&args.svg) {
         has_folder(path)?;
-        not_itself(&args.log, path)?;
+        not_itself(&args.log, path).map_err(words)?;
     }
     let elf = args.elf.as_deref().map(Elf::read).transpose().map_err(words)?;
     // A log's own errors do not begin with its name, those of files do.

@@ -23,10 +23,11 @@ mod tests;
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Chain, Cursor, Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use app::record::{self, Taken};
 use frames::{Sensor, Vec3};
+use nav::increment::Sample;
 
 pub use binary::{Header, Loss, Lost, UnitStatus};
 pub use check::{Checker, LogWarning, WarningKind};
@@ -356,14 +357,15 @@ pub struct LogRow {
 }
 
 impl LogRow {
-    /// Angle increment over `dt_s`, rad. After a gap it takes the row's mean for all of it.
-    pub fn dtheta_s(&self) -> Vec3<Sensor, f64> {
-        self.w_is_s * self.dt_s
-    }
-
-    /// Velocity increment over `dt_s`, m/s. After a gap it takes the row's mean for all of it.
-    pub fn dv_s(&self) -> Vec3<Sensor, f64> {
-        self.f_is_s * self.dt_s
+    /// The row as the core takes it: increments over the row's own interval, with the time before it that has no data.
+    pub fn sample(&self) -> Sample<f64> {
+        let dt = self.gap.map_or(self.dt_s, |gap| gap.nominal_dt_s);
+        Sample {
+            dtheta_s: self.w_is_s * dt,
+            dv_s: self.f_is_s * dt,
+            dt,
+            gap: self.dt_s - dt,
+        }
     }
 }
 
@@ -557,16 +559,47 @@ impl<R: BufRead> Iterator for LogReader<R> {
     }
 }
 
+/// Why a log cannot be written again.
+#[derive(Debug)]
+pub enum ConvertError {
+    /// The log that is read.
+    Log(LogError),
+    /// The file to be written.
+    Write(PathBuf, io::Error),
+    /// It is the log itself.
+    Itself(PathBuf),
+}
+
+impl core::fmt::Display for ConvertError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Log(e) => e.fmt(f),
+            Self::Write(path, e) => write!(f, "cannot write {}: {e}", path.display()),
+            Self::Itself(path) => write!(
+                f,
+                "{}: the log itself cannot be written: name another file",
+                path.display()
+            ),
+        }
+    }
+}
+
+impl core::error::Error for ConvertError {}
+
+impl From<LogError> for ConvertError {
+    fn from(e: LogError) -> Self {
+        Self::Log(e)
+    }
+}
+
 /// That what is made of the log `from` does not go over it: created before it is read, it would be empty.
 ///
 /// # Errors
-/// Where `to` is `from`.
-pub fn not_itself(from: &Path, to: &Path) -> Result<(), String> {
-    let same = from
-        .canonicalize()
-        .is_ok_and(|from| to.canonicalize().is_ok_and(|to| from == to));
-    if same {
-        return Err(format!("{}: the log itself cannot be written", to.display()));
+/// [`ConvertError::Itself`].
+pub fn not_itself(from: &Path, to: &Path) -> Result<(), ConvertError> {
+    let same = from.canonicalize().and_then(|from| Ok(from == to.canonicalize()?));
+    if same.unwrap_or(false) {
+        return Err(ConvertError::Itself(to.to_owned()));
     }
     Ok(())
 }
@@ -574,41 +607,38 @@ pub fn not_itself(from: &Path, to: &Path) -> Result<(), String> {
 /// Writes a log, whatever it is, as CSV; the rows that were written.
 ///
 /// # Errors
-/// Those of the log, and of the file that is written, in one line.
-pub fn convert(from: &Path, to: &Path) -> Result<(u64, Vec<LogWarning>), String> {
-    convert_from(LogReader::open(from).map_err(|e| e.to_string())?, from, to)
+/// [`ConvertError`].
+pub fn convert(from: &Path, to: &Path) -> Result<(u64, Vec<LogWarning>), ConvertError> {
+    let mut reader = LogReader::open(from)?;
+    let rows = convert_from(&mut reader, from, to, LogRow::sample)?;
+    Ok((rows, reader.warnings()))
 }
 
-/// The same for the log `from` that is open already.
+/// The same for the log `from` that is open already, each row as `sample` has it.
 ///
 /// # Errors
-/// As of [`convert`].
+/// [`ConvertError`].
 pub fn convert_from<R: BufRead>(
-    mut reader: LogReader<R>,
+    reader: &mut LogReader<R>,
     from: &Path,
     to: &Path,
-) -> Result<(u64, Vec<LogWarning>), String> {
-    let failed = |error: io::Error| format!("cannot write {}: {error}", to.display());
+    sample: impl Fn(&LogRow) -> Sample<f64>,
+) -> Result<u64, ConvertError> {
+    let failed = |e| ConvertError::Write(to.to_owned(), e);
     not_itself(from, to)?;
     let mut out: Option<LogWriter<_>> = None;
     let mut rows = 0;
-    for row in &mut reader {
-        let row = row.map_err(|e| e.to_string())?;
+    for row in reader {
+        let row = row?;
         let out = match &mut out {
             Some(out) => out,
             none => none.insert(LogWriter::create(to, row.temperature_c.is_some()).map_err(failed)?),
         };
-        out.write(
-            row.t_s,
-            row.dt_s,
-            row.dtheta_s(),
-            row.dv_s(),
-            row.encoder,
-            row.temperature_c,
-        )
-        .map_err(failed)?;
+        let Sample { dtheta_s, dv_s, dt, .. } = sample(&row);
+        out.write(row.t_s, dt, dtheta_s, dv_s, row.encoder, row.temperature_c)
+            .map_err(failed)?;
         rows += 1;
     }
     out.map_or(Ok(()), |out| out.finish().map(drop).map_err(failed))?;
-    Ok((rows, reader.warnings()))
+    Ok(rows)
 }

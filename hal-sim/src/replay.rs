@@ -6,7 +6,6 @@ use std::path::Path;
 use app::record::Taken;
 use frames::units::{ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
 use nav::aligner::{Aligner, AlignerError, Event};
-use nav::increment::Sample;
 use nav::model::{PAPER, ROBUST};
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
@@ -93,17 +92,6 @@ pub trait Observer {
 
 /// Nobody looks.
 impl Observer for () {}
-
-/// The sample of a row. Across a gap the row's means cover its last interval alone.
-fn sample(row: &LogRow) -> Sample<f64> {
-    let dt = row.gap.as_ref().map_or(row.dt_s, |gap| gap.nominal_dt_s);
-    Sample {
-        dtheta_s: row.w_is_s * dt,
-        dv_s: row.f_is_s * dt,
-        dt,
-        gap: row.dt_s - dt,
-    }
-}
 
 /// What the unit's own aligner was told when it recorded, to the bit.
 pub fn recorded(header: &Header, method: Method) -> Setup {
@@ -206,7 +194,7 @@ fn replay_with<const B: usize, R: BufRead>(
             aligner.start_anew();
         }
         #[expect(clippy::cast_possible_truncation, reason = "the core runs in f32")]
-        if let Some(event) = aligner.step(&align::cast(&sample(&row)), row.encoder as f32) {
+        if let Some(event) = aligner.step(&align::cast(&row.sample()), row.encoder as f32) {
             observer.event(t_s, &event);
             if let Event::Restarted(_) = event {
                 rejected = Some(align::describe(&event));

@@ -209,15 +209,9 @@ fn replayed(bytes: &[u8], observer: &mut impl Observer) -> Replay {
     replay::replay_from(reader, &setup, observer).unwrap()
 }
 
-/// The sample of a row, as `replay` makes it.
+/// The sample of a row, as `replay` has it.
 fn sample_of(row: &LogRow) -> Sample {
-    let dt = row.gap.map_or(row.dt_s, |gap| gap.nominal_dt_s);
-    align::cast(&Sample {
-        dtheta_s: row.w_is_s * dt,
-        dv_s: row.f_is_s * dt,
-        dt,
-        gap: row.dt_s - dt,
-    })
+    align::cast(&row.sample())
 }
 
 fn bits(sample: &Sample) -> [u32; 8] {

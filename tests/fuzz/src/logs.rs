@@ -85,9 +85,9 @@ pub fn csv(data: &[u8]) {
     }
     let mut writer = LogWriter::new(Vec::new(), true).unwrap();
     for row in &rows {
-        let (dtheta_s, dv_s) = (row.dtheta_s(), row.dv_s());
+        let Sample { dtheta_s, dv_s, dt, .. } = row.sample();
         writer
-            .write(row.t_s, row.dt_s, dtheta_s, dv_s, row.encoder, row.temperature_c)
+            .write(row.t_s, dt, dtheta_s, dv_s, row.encoder, row.temperature_c)
             .unwrap();
     }
     let text = writer.finish().unwrap();
@@ -120,14 +120,9 @@ pub fn record(data: &[u8]) {
         assert!(whole);
         assert_eq!(rows.len(), line.samples.len());
         for (row, sample) in rows.iter().zip(&line.samples) {
-            let dt = row.gap.map_or(row.dt_s, |gap| gap.nominal_dt_s);
-            let same = |new: Vec3<frames::Sensor, f64>, old: Vec3<frames::Sensor>| {
-                for (new, old) in new.to_array().into_iter().zip(old.to_array()) {
-                    assert_eq!((new * dt) as f32, old);
-                }
-            };
-            same(row.w_is_s, sample.sample.dtheta_s);
-            same(row.f_is_s, sample.sample.dv_s);
+            let found = row.sample();
+            assert_eq!(found.dtheta_s.cast::<f32>(), sample.sample.dtheta_s);
+            assert_eq!(found.dv_s.cast::<f32>(), sample.sample.dv_s);
         }
     }
 }
