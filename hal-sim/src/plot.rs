@@ -297,7 +297,7 @@ pub fn heading_histogram(
     Svg::draw((page.pixels(), 480), |sheet| {
         let (x, y) = (
             Scale::linear("heading error (°)", -reach, reach),
-            Scale::linear("runs", 0.0, top.max(1.0)),
+            Scale::whole("runs", 0.0, top.max(1.0)),
         );
         let mut plane = Plane::new(sheet, title, &keys, x, y)?;
         for (k, count) in counts.iter().enumerate() {

@@ -17,45 +17,77 @@ const LEGEND_LEFT: i32 = 16;
 const SAMPLE: i32 = 20;
 const MARGIN: u32 = 8;
 
-/// One axis: quantity and unit, range, linear or logarithmic.
+/// How the values of an axis lie on it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Spacing {
+    /// Evenly.
+    Linear,
+    /// Evenly, and only whole numbers mean anything: counts, and numbers of runs.
+    Whole,
+    /// By their logarithm: only values above zero are shown.
+    Log,
+}
+
+/// One axis: quantity and unit, range, spacing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Scale<'a> {
     pub(crate) label: &'a str,
-    pub(crate) log: bool,
+    pub(crate) spacing: Spacing,
     pub(crate) range: (f64, f64),
 }
 
 impl<'a> Scale<'a> {
     pub(crate) fn linear(label: &'a str, low: f64, high: f64) -> Self {
-        let range = (low, high);
         Self {
             label,
-            log: false,
-            range,
+            spacing: Spacing::Linear,
+            range: (low, high),
+        }
+    }
+
+    pub(crate) fn whole(label: &'a str, low: f64, high: f64) -> Self {
+        Self {
+            spacing: Spacing::Whole,
+            ..Self::linear(label, low, high)
         }
     }
 
     pub(crate) fn log(label: &'a str, low: f64, high: f64) -> Self {
         Self {
-            log: true,
+            spacing: Spacing::Log,
             ..Self::linear(label, low, high)
         }
     }
 
+    fn is_log(&self) -> bool {
+        self.spacing == Spacing::Log
+    }
+
     /// Where a value lies on the axis; where it lies nowhere, a logarithm of what is not above zero, nothing.
     fn at(&self, v: f64) -> Option<f64> {
-        let at = if self.log { v.log10() } else { v };
+        let at = if self.is_log() { v.log10() } else { v };
         at.is_finite().then_some(at)
     }
 
     /// A tick's text. On a logarithmic axis small values are not rounding.
     fn text(&self, v: f64) -> String {
-        tick(v, if self.log { 0.0 } else { self.range.1 - self.range.0 })
+        tick(
+            v,
+            if self.is_log() {
+                0.0
+            } else {
+                self.range.1 - self.range.0
+            },
+        )
     }
 
     /// Ticks on an axis of so many pixels, the most that leave the room which `needed` asks of their texts.
     fn ticks(&self, pixels: u32, needed: impl Fn(&[f64]) -> u32) -> Vec<f64> {
-        let candidates = if self.log { log_ticks } else { linear_ticks }(self.range);
+        let candidates = match self.spacing {
+            Spacing::Linear => linear_ticks(self.range, 0.0),
+            Spacing::Whole => linear_ticks(self.range, 1.0),
+            Spacing::Log => log_ticks(self.range),
+        };
         let position = |v: f64| self.at(v).unwrap_or(0.0);
         let (low, high) = (position(self.range.0), position(self.range.1));
         let fits = |ticks: &Vec<f64>| {
@@ -68,23 +100,43 @@ impl<'a> Scale<'a> {
     }
 }
 
-/// A tick's text: no more digits than it needs. Where an axis of this `span` crosses zero, the ticks' sum of steps misses
-/// it by rounding.
+/// A tick's text: no more digits than it needs. Those of a linear axis are a fiftieth of its `span` apart or more, rounded
+/// to a power of ten; those of a logarithmic one, of no span, have four digits at the most.
 pub(crate) fn tick(v: f64, span: f64) -> String {
-    let v = if v.abs() < 1e-9 * span { 0.0 } else { v };
+    // Where the axis crosses zero, the ticks' sum of steps misses it by rounding.
+    if v.abs() <= 1e-9 * span {
+        return "0".to_owned();
+    }
     // A product of powers of ten misses them by rounding as well.
-    if v != 0.0 && !(0.999e-3..0.999e5).contains(&v.abs()) {
-        format!("{v:.0e}")
+    let power = |v: f64| (v.log10() + 1e-9).floor() as i32;
+    let size = power(v.abs());
+    let decimals = if span > 0.0 {
+        -power(span / 50.0)
     } else {
-        let text = format!("{v:.4}");
-        let text = text.trim_end_matches('0').trim_end_matches('.');
-        if text == "-0" { "0".to_owned() } else { text.to_owned() }
+        3_i32.saturating_sub(size)
+    };
+    let digits = |n: i32| n.clamp(0, 15) as usize;
+    if (-3..5).contains(&size) {
+        trimmed(&format!("{v:.0$}", digits(decimals))).to_owned()
+    } else {
+        let text = format!("{v:.0$e}", digits(decimals.saturating_add(size)));
+        let (number, exponent) = text.split_once('e').unwrap_or((&text, "0"));
+        format!("{}e{exponent}", trimmed(number))
     }
 }
 
-/// Round values within a range, from the densest to a single one.
-fn linear_ticks((low, high): (f64, f64)) -> Vec<Vec<f64>> {
-    let first = ((high - low) / 50.0).log10().floor() as i32;
+/// A number without zeros behind its point.
+fn trimmed(number: &str) -> &str {
+    if number.contains('.') {
+        number.trim_end_matches('0').trim_end_matches('.')
+    } else {
+        number
+    }
+}
+
+/// Round values within a range, `least` apart or more, from the densest to a single one.
+fn linear_ticks((low, high): (f64, f64), least: f64) -> Vec<Vec<f64>> {
+    let first = ((high - low) / 50.0).max(least).log10().floor() as i32;
     (first..first + 4)
         .flat_map(|decade| [1.0, 2.0, 5.0].map(|step| step * 10_f64.powi(decade)))
         .map(|step| {
@@ -117,7 +169,7 @@ pub(crate) fn log_ticks((low, high): (f64, f64)) -> Vec<Vec<f64>> {
     // A single tick tells no scale.
     let round: Vec<_> = all.into_iter().filter(|ticks| ticks.len() > 1).collect();
     if high / low < 3.0 || round.is_empty() {
-        linear_ticks((low, high))
+        linear_ticks((low, high), 0.0)
     } else {
         round
     }
@@ -290,7 +342,7 @@ impl<'a, 'b> Plane<'a, 'b> {
             .x_label_area_size(below_plane)
             .y_label_area_size(beside)
             .build_cartesian_2d(on(&x, &x_ticks), on(&y, &y_ticks))?;
-        let text = |scale: Scale<'a>| move |at: &f64| scale.text(if scale.log { 10_f64.powf(*at) } else { *at });
+        let text = |scale: Scale<'a>| move |at: &f64| scale.text(if scale.is_log() { 10_f64.powf(*at) } else { *at });
         chart
             .configure_mesh()
             .light_line_style(PAPER.mix(0.0))
@@ -387,6 +439,12 @@ mod tests {
             (2e-7, 1e-6, "2e-7"),
             (2e-7, 0.0, "2e-7"),
             (3e6, 1e7, "3e6"),
+            // Neighbours are told apart.
+            (1.5e5, 2e5, "1.5e5"),
+            (1.5e-4, 3e-4, "1.5e-4"),
+            (1.5e-4, 0.0, "1.5e-4"),
+            (359.999_93, 6e-5, "359.99993"),
+            (100.0, 100.0, "100"),
             // As a power of ten comes out.
             (10_f64.powf(0.05_f64.log10()), 0.0, "0.05"),
             (10_f64.powf(5.0 - 1e-16), 0.0, "1e5"),
@@ -418,6 +476,18 @@ mod tests {
                 let apart = (at(pair[1]) - at(pair[0])) / (at(high) - at(low)) * f64::from(pixels);
                 assert!(apart >= f64::from(room), "{scale:?}: {ticks:?}");
             }
+        }
+    }
+
+    #[test]
+    fn there_is_no_half_of_a_run() {
+        for (low, high, expected) in [
+            (0.5, 2.5, &[1.0, 2.0][..]),
+            (0.0, 1.1, &[0.0, 1.0]),
+            (1.0 - 1e-9, 1.0 + 1e-9, &[1.0]),
+            (1.0, 50.0, &[10.0, 20.0, 30.0, 40.0, 50.0]),
+        ] {
+            assert_eq!(Scale::whole("", low, high).ticks(300, |_| 40), expected, "{low} {high}");
         }
     }
 

@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use crate::plot::plane::{self, Key, Plane, Scale};
+use crate::plot::plane::{self, Key, Plane, Scale, Spacing};
 use crate::plot::sheet::{Area, BLUE, GREEN, GREY, INK, ORANGE, PURPLE, SKY, TICK, VERMILION, text_width};
 use crate::plot::{PlotError, Svg, Width};
 
@@ -16,8 +16,8 @@ const LEGEND_LINE: i32 = 20;
 pub struct Axis<'a> {
     /// Quantity and unit.
     pub label: &'a str,
-    /// Logarithmic: only values above zero are shown.
-    pub log: bool,
+    /// How values lie on it.
+    spacing: Spacing,
     /// Range; all that is drawn where there is none.
     pub range: Option<(f64, f64)>,
 }
@@ -27,15 +27,23 @@ impl<'a> Axis<'a> {
     pub fn linear(label: &'a str) -> Self {
         Self {
             label,
-            log: false,
+            spacing: Spacing::Linear,
             range: None,
+        }
+    }
+
+    /// Linear, over all values, which are whole numbers: of runs, for instance.
+    pub fn whole(label: &'a str) -> Self {
+        Self {
+            spacing: Spacing::Whole,
+            ..Self::linear(label)
         }
     }
 
     /// Logarithmic, over all values.
     pub fn log(label: &'a str) -> Self {
         Self {
-            log: true,
+            spacing: Spacing::Log,
             ..Self::linear(label)
         }
     }
@@ -52,7 +60,7 @@ impl<'a> Axis<'a> {
     fn scale(&self, values: impl Iterator<Item = f64>) -> Scale<'a> {
         Scale {
             label: self.label,
-            log: self.log,
+            spacing: self.spacing,
             range: self.limits(values),
         }
     }
@@ -61,12 +69,13 @@ impl<'a> Axis<'a> {
         if let Some(range) = self.range {
             return range;
         }
-        let shown = values.filter(|v| v.is_finite() && (!self.log || *v > 0.0));
+        let log = self.spacing == Spacing::Log;
+        let shown = values.filter(|v| v.is_finite() && (!log || *v > 0.0));
         let (low, high) = shown.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         if low > high {
-            return if self.log { (0.1, 10.0) } else { (-1.0, 1.0) };
+            return if log { (0.1, 10.0) } else { (-1.0, 1.0) };
         }
-        if self.log {
+        if log {
             let margin = if high / low < 1.2 { 1.5 } else { (high / low).powf(0.04) };
             (low / margin, high * margin)
         } else {

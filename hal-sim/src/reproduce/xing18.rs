@@ -395,7 +395,7 @@ fn simulation(context: &mut Context<'_>, effort: &Effort) -> Result<Vec<Row>, Re
         .iter()
         .map(|(title, errors)| Chart {
             title,
-            x: Axis::linear("run"),
+            x: Axis::whole("run"),
             y: Axis::linear("error (°)"),
             curves: ["pitch", "roll", "heading"]
                 .into_iter()
@@ -768,7 +768,7 @@ fn coarse_plot(context: &mut Context<'_>, first: &[Fix], second: &[Fix]) -> Resu
     ]
     .map(|(title, fixes, k)| Chart {
         title,
-        x: Axis::linear("experiment"),
+        x: Axis::whole("experiment"),
         y: Axis::linear("error (°)"),
         curves: panel(fixes, k),
     });
@@ -805,7 +805,7 @@ fn fine_plot(context: &mut Context<'_>, courses: &[(Method, Vec<Course>, Statist
         chart("Fig. 14(c), heading error", time, over_time(|a| -a.heading_deg)),
         chart(
             "Fig. 14(d), heading errors of ten runs",
-            Axis::linear("experiment"),
+            Axis::whole("experiment"),
             headings.collect(),
         ),
     ];
