@@ -741,8 +741,12 @@ fn run_table(result: &RunResult) -> String {
 
 fn monte_carlo(args: &MonteCarloArgs, quiet: bool) -> Done {
     let scenario = scenario_on(&args.base, &args.simulated)?;
-    let mut methods = args.method.clone();
-    methods.dedup();
+    let mut methods: Vec<Method> = Vec::new();
+    for method in &args.method {
+        if !methods.contains(method) {
+            methods.push(*method);
+        }
+    }
     let dir = args.report.join(format!("{}-monte-carlo", scenario.name));
     folder(&dir)?;
     let bar = bar(args.runs, "runs", quiet);
@@ -1192,12 +1196,13 @@ impl unit_sim::Observer for UnitObserver {
 
 /// When a record begins, s: the unit listens.
 const RECORD_S: f64 = 0.1;
-/// Longest run there is, s: four days.
+/// Longest run that a scenario may have, s: four days.
 const LONGEST_RUN_S: f64 = 360_000.0;
 
 fn unit(args: &UnitArgs, quiet: bool) -> Done {
     let mut scenario = scenario_on(&args.base, &args.simulated)?;
-    args.nmea.as_deref().map_or(Ok(()), has_folder)?;
+    let port = args.record.as_deref().or(args.nmea.as_deref());
+    port.map_or(Ok(()), has_folder)?;
     let served = args.serve.as_ref().map(|place| Served::open(place, args.speed));
     let served = served.transpose().map_err(|e| format!("cannot serve: {e}"))?;
     if let Some(served) = &served {
@@ -1214,7 +1219,6 @@ fn unit(args: &UnitArgs, quiet: bool) -> Done {
             text: "record on".to_owned(),
         });
     }
-    let port = args.record.as_deref().or(args.nmea.as_deref());
     let mut observer = UnitObserver {
         bar: bar(scenario.run.duration_s as u64, "s", quiet),
         level: args.log_level,

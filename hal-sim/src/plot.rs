@@ -54,17 +54,15 @@ struct Legend<'a> {
     band: &'a str,
 }
 
-/// The range of a panel's values: all of the line, and the band of its later half, so that the first seconds do not
+/// The range of a panel's values: without the first eighth of the line and the first quarter of the band, which would
 /// flatten the rest.
 fn range(panel: &Panel<'_>) -> (f64, f64) {
-    let late = panel.band.len() / 4;
-    let values = panel
-        .line
-        .iter()
-        .skip(panel.line.len() / 8)
-        .chain(panel.reference.iter())
+    let line = panel.line.iter().skip(panel.line.len() / 8);
+    let band = panel.band.iter().skip(panel.band.len() / 4);
+    let values = line
+        .chain(&panel.reference)
         .map(|(_, y)| *y)
-        .chain(panel.band.iter().skip(late).flat_map(|(_, c, h)| [c - h, c + h]));
+        .chain(band.flat_map(|(_, c, h)| [c - h, c + h]));
     let (low, high) = values
         .filter(|y| y.is_finite())
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| {

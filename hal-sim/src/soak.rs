@@ -1076,8 +1076,7 @@ impl Soak {
             self.type_line(line, Answer::Any);
         } else if self.chance(0.1) {
             // A receiver's, which is not answered: the base stands.
-            self.session
-                .send(b"$GPRMC,120000,A,4000.0,N,11618.0,E,0.0,,231126,,,A*53\r\n");
+            self.send(b"$GPRMC,120000,A,4000.0,N,11618.0,E,0.0,,231126,,,A*53\r\n");
         } else if self.chance(0.2) {
             let length = self.rng.random_range(1..100);
             // Neither the end of a line, nor what makes it a remark, nor a word that there is.

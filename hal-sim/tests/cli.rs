@@ -345,6 +345,11 @@ fn mistakes_are_told_before_the_work_with_what_to_do_next() {
             "there is no folder none: make it first",
         ),
         (&["replay", "none.csv", "--latitude-deg", "40"], "none.csv: cannot read"),
+        (
+            &["unit", "--record", "none/a.bin"],
+            "there is no folder none: make it first",
+        ),
+        (&["unit", "--type", "5"], "expected seconds and a line"),
         (&["soak", "--hours", "-1"], "expected hours from 0.1 to 10000"),
         (&["observability", "--seconds", "-1"], "expected seconds above 0"),
         (&["reproduce", "du18"], "there is du16-table1"),

@@ -109,8 +109,8 @@ impl Line {
         self.0.borrow().level
     }
 
-    /// The next `n` rising edges, on top of those still to be lost, are not heard by anyone who waits, as an interrupt that got lost. The
-    /// level is as it is.
+    /// The next `n` rising edges, on top of those still to be lost, are not heard by anyone who waits, as an interrupt
+    /// that got lost. The level is as it is.
     pub fn lose_rising(&self, n: u32) {
         self.0.borrow_mut().rising.lose += n;
     }

@@ -248,17 +248,15 @@ impl core::str::FromStr for Typed {
 
     /// Of a time, s, a blank, and the line: `12.5 set latitude 40.1`.
     fn from_str(text: &str) -> Result<Self, String> {
-        let (at, line) = text.trim().split_once(' ').unwrap_or((text, ""));
-        let at_s = at
-            .parse()
-            .ok()
-            .filter(|at: &f64| at.is_finite() && (0.0..1e9).contains(at));
-        let at_s =
-            at_s.ok_or_else(|| format!("expected seconds and a line, as in \"12.5 set latitude 40.1\", not {text:?}"))?;
-        Ok(Self {
-            at_s,
-            text: line.trim().to_owned(),
-        })
+        let typed = || {
+            let (at, line) = text.trim().split_once(' ')?;
+            let at_s = at.parse().ok().filter(|at| (0.0..1e9).contains(at))?;
+            Some(Self {
+                at_s,
+                text: line.trim().to_owned(),
+            })
+        };
+        typed().ok_or_else(|| format!("expected seconds and a line, as in \"12.5 set latitude 40.1\", not {text:?}"))
     }
 }
 
