@@ -32,8 +32,8 @@ use nav::calibration::REST_TRAVEL;
 use serde::Serialize;
 
 use crate::log::{LogError, LogReader, Place};
+use crate::plot::chart::{self, Axis, Chart, Curve};
 use crate::plot::{PlotError, Width};
-use crate::reproduce::figure::{self, Axis, Chart, Curve};
 use crate::unit::Unit;
 
 /// Samples kept; a longer log is kept at a half, a quarter, … of its rate.
@@ -607,7 +607,7 @@ impl Report {
             y: Axis::log(label),
             curves,
         };
-        let svg = figure::figure(
+        let svg = chart::figure(
             Width::Page,
             &[
                 chart("Allan deviation of the gyros", "°/h", curves(&self.gyro, DEG_PER_HOUR)),

@@ -1,6 +1,7 @@
 //! Plots as one would put them in a paper: SVG, labelled with units, in colours that the colour-blind can tell, for a
 //! light page and a dark one.
 
+pub(crate) mod chart;
 pub(crate) mod plane;
 pub(crate) mod sheet;
 

@@ -24,8 +24,8 @@ use nav::increment::{Compensator, Sample};
 use nav::mechanization::{Mechanization, Position, Radii, Vertical};
 use rayon::prelude::*;
 
-use super::figure::{self, Axis, Chart, Curve};
 use super::{Context, Criterion, ReproduceError, Reproduction, Row};
+use crate::plot::chart::{self, Axis, Chart, Curve};
 use crate::scenario::Scenario;
 use crate::sensors::{Imu, run_seed};
 
@@ -679,7 +679,7 @@ fn table_7(context: &mut Context<'_>) -> Result<Vec<Row>, ReproduceError> {
         }
     }
     context.plot("induced.svg", |width| {
-        figure::figure(
+        chart::figure(
             width,
             &[Chart {
                 title: "Gyro error by the rotation, RMS",
@@ -990,7 +990,7 @@ fn plots(
         curves: curves(of),
     };
     context.plot(&format!("fig{}.svg", numbers[0]), |width| {
-        figure::figure(
+        chart::figure(
             width,
             &[
                 chart("Horizontal position, RMS over 300 s", "m", &horizontal_position),
@@ -999,7 +999,7 @@ fn plots(
         )
     })?;
     context.plot(&format!("fig{}.svg", numbers[1]), |width| {
-        figure::figure(
+        chart::figure(
             width,
             &[
                 chart("Roll, RMS over 300 s", "°", &|e| e[7]),
@@ -1028,7 +1028,7 @@ fn plots(
                 .collect(),
         };
         context.plot(&format!("fig{}.svg", numbers[2]), |width| {
-            figure::figure(width, &[panel(0), panel(1)])
+            chart::figure(width, &[panel(0), panel(1)])
         })?;
     }
     let rows: Vec<Vec<f64>> = by_rate

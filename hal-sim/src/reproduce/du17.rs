@@ -22,9 +22,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
-use super::figure::{Axis as ChartAxis, Chart, Curve, figure};
 use super::{Context, Criterion, ReproduceError, Reproduction, Row};
 use crate::observability::{Attitude, Axis, Matrix12, Observability, Seen, Segment, State, body_bias, dynamics};
+use crate::plot::chart::{Axis as ChartAxis, Chart, Curve, figure};
 use crate::sensors::{Stream, run_seed, stream};
 
 /// Properties 1 to 5.

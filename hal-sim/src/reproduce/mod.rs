@@ -20,7 +20,6 @@
 
 mod du16;
 mod du17;
-pub mod figure;
 mod xing18;
 mod yu15;
 

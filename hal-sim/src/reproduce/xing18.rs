@@ -24,13 +24,13 @@ use frames::units::{ARC_SEC, DEG, DEG_PER_HOUR, MICRO_G};
 use nalgebra::{Rotation3, Vector3};
 use rayon::prelude::*;
 
-use super::figure::{Axis, Chart, Curve, figure};
 use super::{Context, Criterion, ReproduceError, Reproduction, Row};
 use crate::align::{Angles, Method};
 use crate::allan;
 use crate::bound::{self, BoundConfig};
 use crate::config::Angle;
 use crate::monte_carlo::Statistics;
+use crate::plot::chart::{Axis, Chart, Curve, figure};
 use crate::scenario::{Axis as Swinging, Harmonic, RotorAxis, Scenario};
 use crate::sensors::{Imu, run_seed};
 use crate::simulate::{self, Fix, Moment, Observer, Simulation};

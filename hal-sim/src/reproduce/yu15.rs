@@ -33,9 +33,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
-use super::figure::{Axis, Chart, Curve, figure};
 use super::{Context, Criterion, ReproduceError, Reproduction, Row};
 use crate::observability::SquareRootInformation;
+use crate::plot::chart::{Axis, Chart, Curve, figure};
 use crate::sensors::{Stream, run_seed, stream};
 
 /// (22)–(25).

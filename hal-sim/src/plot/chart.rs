@@ -1,10 +1,10 @@
-//! Line charts of the papers' kind: several curves, linear or logarithmic axes, a legend beside the plane.
+//! Line charts: several curves in panels below each other, linear or logarithmic axes, a legend beside the plane.
 
 use plotters::prelude::*;
 
-use crate::plot::plane::{self, Key, Plane, Scale, Spacing};
-use crate::plot::sheet::{Area, BLUE, GREEN, GREY, INK, ORANGE, PURPLE, SKY, TICK, VERMILION, text_width};
-use crate::plot::{PlotError, Svg, Width};
+use super::plane::{self, Key, Plane, Scale, Spacing};
+use super::sheet::{Area, BLUE, GREEN, GREY, INK, ORANGE, PURPLE, SKY, TICK, VERMILION, text_width};
+use super::{PlotError, Svg, Width};
 
 const COLOURS: [RGBColor; 8] = [BLUE, VERMILION, GREEN, PURPLE, GREY, SKY, ORANGE, INK];
 /// The legend's first line below the top of the panel and the distance of its lines, pixels.
@@ -13,18 +13,18 @@ const LEGEND_LINE: i32 = 20;
 
 /// One axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Axis<'a> {
+pub(crate) struct Axis<'a> {
     /// Quantity and unit.
-    pub label: &'a str,
+    pub(crate) label: &'a str,
     /// How values lie on it.
     spacing: Spacing,
     /// Range; all that is drawn where there is none.
-    pub range: Option<(f64, f64)>,
+    pub(crate) range: Option<(f64, f64)>,
 }
 
 impl<'a> Axis<'a> {
     /// Linear, over all values.
-    pub fn linear(label: &'a str) -> Self {
+    pub(crate) fn linear(label: &'a str) -> Self {
         Self {
             label,
             spacing: Spacing::Linear,
@@ -33,7 +33,7 @@ impl<'a> Axis<'a> {
     }
 
     /// Linear, over all values, which are whole numbers: of runs, for instance.
-    pub fn whole(label: &'a str) -> Self {
+    pub(crate) fn whole(label: &'a str) -> Self {
         Self {
             spacing: Spacing::Whole,
             ..Self::linear(label)
@@ -41,7 +41,7 @@ impl<'a> Axis<'a> {
     }
 
     /// Logarithmic, over all values.
-    pub fn log(label: &'a str) -> Self {
+    pub(crate) fn log(label: &'a str) -> Self {
         Self {
             spacing: Spacing::Log,
             ..Self::linear(label)
@@ -50,7 +50,7 @@ impl<'a> Axis<'a> {
 
     /// With this range.
     #[must_use]
-    pub fn within(self, low: f64, high: f64) -> Self {
+    pub(crate) fn within(self, low: f64, high: f64) -> Self {
         Self {
             range: Some((low, high)),
             ..self
@@ -87,28 +87,28 @@ impl<'a> Axis<'a> {
 
 /// One curve.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Curve {
+pub(crate) struct Curve {
     /// What it is, for the legend; none without.
-    pub label: String,
+    pub(crate) label: String,
     /// Its points.
-    pub points: Vec<(f64, f64)>,
+    pub(crate) points: Vec<(f64, f64)>,
     /// Thin: one of many, as the runs of a Monte Carlo are.
-    pub thin: bool,
+    pub(crate) thin: bool,
     /// Which colour: those with equal numbers have the same.
-    pub colour: usize,
+    pub(crate) colour: usize,
 }
 
 /// One panel.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Chart<'a> {
+pub(crate) struct Chart<'a> {
     /// Caption.
-    pub title: &'a str,
+    pub(crate) title: &'a str,
     /// Across.
-    pub x: Axis<'a>,
+    pub(crate) x: Axis<'a>,
     /// Upward.
-    pub y: Axis<'a>,
+    pub(crate) y: Axis<'a>,
     /// Curves, each over the ones before.
-    pub curves: Vec<Curve>,
+    pub(crate) curves: Vec<Curve>,
 }
 
 impl Curve {
@@ -161,7 +161,7 @@ fn legend_width(keys: &[Key<'_>]) -> u32 {
 ///
 /// # Errors
 /// [`PlotError`] where the drawing library fails.
-pub fn figure(width: Width, charts: &[Chart<'_>]) -> Result<Svg, PlotError> {
+pub(crate) fn figure(width: Width, charts: &[Chart<'_>]) -> Result<Svg, PlotError> {
     let count = u32::try_from(charts.len()).unwrap_or(u32::MAX);
     // A legend above takes nothing from the plane.
     let above = |chart: &Chart<'_>| match width {
