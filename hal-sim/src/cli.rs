@@ -22,7 +22,7 @@ use hal_sim::config::ConfigProblem;
 use hal_sim::inspect::{self, defmt::Elf, live, live::Tail};
 use hal_sim::link::serve::{Place, Served};
 use hal_sim::link::{self, Link};
-use hal_sim::log::{LogError, LogReader, LogRow, LogWarning, LogWriter, UnitStatus, convert_from, not_itself};
+use hal_sim::log::{Header, LogError, LogReader, LogRow, LogWarning, LogWriter, UnitStatus, convert_from, not_itself};
 use hal_sim::monte_carlo::{self, MethodReport, READY_SD_DEG, Statistics};
 use hal_sim::observability::{self, Attitude, Axis, Segment};
 use hal_sim::replay::{self, Replay};
@@ -997,24 +997,31 @@ fn open_log(path: &Path, quiet: bool) -> Result<(OpenLog, ProgressBar), String> 
 
 fn replay(args: &ReplayArgs, quiet: bool) -> Done {
     let (log, bar) = open_log(&args.log, quiet)?;
-    let mut setup = match (log.header(), args.latitude_deg) {
-        (Some(header), _) => replay::recorded(header, args.method),
-        (None, Some(latitude_deg)) => Setup {
-            latitude_deg,
-            height_m: 0.0,
-            rotor: RotorConfig::default(),
-            unit: Unit::default(),
-            method: args.method,
-            encoder_constraint_arcsec: None,
-        },
-        (None, None) => return Err("a CSV log does not say where it was recorded: add --latitude-deg L".to_owned()),
-    };
-    setup.latitude_deg = args.latitude_deg.unwrap_or(setup.latitude_deg);
-    setup.height_m = args.height_m.unwrap_or(setup.height_m);
-    if let Some(path) = &args.unit {
-        setup.unit = Unit::load(path).map_err(words)?;
+    if log.header().is_none() && args.latitude_deg.is_none() {
+        return Err("a CSV log does not say where it was recorded: add --latitude-deg L".to_owned());
     }
-    setup.encoder_constraint_arcsec = args.base.encoder_constraint;
+    let unit = args.unit.as_deref().map(Unit::load).transpose().map_err(words)?;
+    // What is said here goes before what a recording says, all along.
+    let told = |header: Option<&Header>| {
+        let recorded = match header {
+            Some(header) => replay::recorded(header, args.method),
+            None => Setup {
+                latitude_deg: 0.0,
+                height_m: 0.0,
+                rotor: RotorConfig::default(),
+                unit: Unit::default(),
+                method: args.method,
+                encoder_constraint_arcsec: None,
+            },
+        };
+        Setup {
+            latitude_deg: args.latitude_deg.unwrap_or(recorded.latitude_deg),
+            height_m: args.height_m.unwrap_or(recorded.height_m),
+            unit: unit.clone().unwrap_or(recorded.unit),
+            encoder_constraint_arcsec: args.base.encoder_constraint,
+            ..recorded
+        }
+    };
     let mut observer = ReplayObserver {
         bar,
         quiet,
@@ -1027,7 +1034,7 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
             header.serial, header.firmware, header.imu.product, header.imu.serial
         );
     }
-    let result = replay::replay_from(log, &setup, &mut observer).map_err(words)?;
+    let result = replay::replay_from(log, told, &mut observer).map_err(words)?;
     observer.bar.finish_and_clear();
     if observer.bridged > 0 {
         let gaps = format!(

@@ -142,21 +142,24 @@ fn data_sheet(noise: &ImuNoise) -> Unit {
 /// # Errors
 /// [`ReplayError`] where the log or a figure is not usable; nothing of a broken log is reported as a result.
 pub fn replay(path: &Path, setup: &Setup, observer: &mut impl Observer) -> Result<Replay, ReplayError> {
-    replay_from(LogReader::open(path)?, setup, observer)
+    replay_from(LogReader::open(path)?, |_| setup.clone(), observer)
 }
 
-/// The same for a log that is open already, so that its header may be asked for the setup.
+/// The same for a log that is open already, whose header has a say in the setup.
+///
+/// `told` is asked at the beginning, and where a recording says that its unit aligned anew: with the header read last, which
+/// the unit sends before that with the settings it then has.
 ///
 /// # Errors
 /// As of [`replay`].
 pub fn replay_from<R: BufRead>(
     log: LogReader<R>,
-    setup: &Setup,
+    told: impl Fn(Option<&Header>) -> Setup,
     observer: &mut impl Observer,
 ) -> Result<Replay, ReplayError> {
-    match setup.method {
-        Method::Kf | Method::Stf => replay_with::<PAPER, R>(log, setup, observer),
-        Method::Robust | Method::RobustKf => replay_with::<ROBUST, R>(log, setup, observer),
+    match told(log.header()).method {
+        Method::Kf | Method::Stf => replay_with::<PAPER, R>(log, &told, observer),
+        Method::Robust | Method::RobustKf => replay_with::<ROBUST, R>(log, &told, observer),
     }
 }
 
@@ -167,12 +170,13 @@ fn is_aligned(row: &LogRow) -> bool {
 
 fn replay_with<const B: usize, R: BufRead>(
     mut log: LogReader<R>,
-    setup: &Setup,
+    told: &dyn Fn(Option<&Header>) -> Setup,
     observer: &mut impl Observer,
 ) -> Result<Replay, ReplayError> {
+    let mut setup = told(log.header());
     let mut aligner: Aligner<f32, B> = setup.aligner()?;
     let mut checker = Checker::new(log.file_name());
-    let mut told = 0;
+    let mut warned = 0;
     let mut t_s = 0.0;
     let mut rejected = None;
     while let Some(row) = log.next() {
@@ -181,17 +185,23 @@ fn replay_with<const B: usize, R: BufRead>(
             observer.status(&status);
         }
         checker.push(&row)?;
-        for warning in checker.warnings().iter().skip(told) {
+        for warning in checker.warnings().iter().skip(warned) {
             observer.warning(warning);
         }
-        told = checker.warnings().len();
+        warned = checker.warnings().len();
         observer.row(&row);
         if !is_aligned(&row) {
             continue;
         }
         t_s = row.t_s;
         if row.taken == Some(Taken::AlignerAnew) {
-            aligner.start_anew();
+            let now = told(log.header());
+            if now == setup {
+                aligner.start_anew();
+            } else {
+                aligner = now.aligner()?;
+                setup = now;
+            }
         }
         #[expect(clippy::cast_possible_truncation, reason = "the core runs in f32")]
         if let Some(event) = aligner.step(&align::cast(&row.sample()), row.encoder as f32) {
@@ -204,7 +214,7 @@ fn replay_with<const B: usize, R: BufRead>(
     while let Some(status) = log.next_status() {
         observer.status(&status);
     }
-    for warning in checker.finish()?.iter().skip(told).chain(&log.warnings()) {
+    for warning in checker.finish()?.iter().skip(warned).chain(&log.warnings()) {
         observer.warning(warning);
     }
 

@@ -21,7 +21,7 @@ use frames::units::DEG;
 use frames::{Sensor, Vec3};
 use hal_sim::align::{self, Method, Setup};
 use hal_sim::bus::UartLine;
-use hal_sim::log::{LogError, LogReader, LogRow, LogWriter, Loss, Lost, UnitStatus};
+use hal_sim::log::{Header, LogError, LogReader, LogRow, LogWriter, Loss, Lost, Place, UnitStatus};
 use hal_sim::replay::{self, Observer, Replay};
 use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
 use hal_sim::simulate::Simulation;
@@ -205,8 +205,12 @@ fn message(bytes: &[u8]) -> String {
 
 fn replayed(bytes: &[u8], observer: &mut impl Observer) -> Replay {
     let reader = LogReader::new(bytes, "u.bin").unwrap();
-    let setup = replay::recorded(reader.header().unwrap(), Method::Robust);
-    replay::replay_from(reader, &setup, observer).unwrap()
+    replay::replay_from(reader, recorded, observer).unwrap()
+}
+
+/// As a recording says itself.
+fn recorded(header: Option<&Header>) -> Setup {
+    replay::recorded(header.unwrap(), Method::Robust)
 }
 
 /// The sample of a row, as `replay` has it.
@@ -371,7 +375,7 @@ fn a_recording_and_the_csv_of_it_give_the_same() {
     let setup = Setup::of(&scenario, Method::Robust);
     let replay = |bytes: &[u8]| {
         let reader = LogReader::new(bytes, "l").unwrap();
-        replay::replay_from(reader, &setup, &mut ()).unwrap()
+        replay::replay_from(reader, |_| setup.clone(), &mut ()).unwrap()
     };
     let recorded = replay(&binary);
     assert_eq!(recorded.state, "aligned");
@@ -785,8 +789,7 @@ proptest! {
         prop_assert!(rows.iter().all(|row| row.w_is_s.norm().is_finite() && row.encoder.is_finite()));
         // Nor what comes after.
         let reader = LogReader::new(&bytes[..], "u.bin").unwrap();
-        let setup = replay::recorded(reader.header().unwrap(), Method::Robust);
-        let _ = replay::replay_from(reader, &setup, &mut ());
+        let _ = replay::replay_from(reader, recorded, &mut ());
     }
 
     #[test]
@@ -1030,37 +1033,32 @@ fn a_whole_unit_records_itself() {
     assert!(loss.sentences as f64 > 0.95 * 30.0 * result.t_s, "{}", loss.sentences);
     assert!(line.bytes.len() as f64 / result.t_s < 0.9 * 11_520.0);
 
-    let unit = line.last.unwrap();
-    let estimate = unit.estimate.unwrap();
-    let mut aligner: Aligner<f32, ROBUST> = Setup::of(&scenario, Method::Robust).aligner().unwrap();
-    let mut anew = 0;
-    for row in rows.iter().filter(|row| row.t_s * 1e6 < unit.t_us as f64 + 0.5) {
-        match row.taken.unwrap() {
-            Taken::AlignerAnew => {
-                anew += 1;
-                aligner
-                    .set_place((if anew == 1 { 40.0 } else { 40.001 } * DEG) as f32, 0.0)
-                    .unwrap();
-            }
-            Taken::Aligner => {}
-            Taken::No | Taken::Navigator => continue,
-        }
-        aligner.step(&sample_of(row), row.encoder as f32);
-    }
-    assert_eq!(anew, 2);
     let unseen = rows
         .windows(2)
         .filter(|rows| rows[1].t_s > 70.0 && rows[1].t_s - rows[0].t_s > 0.006);
     assert!(unseen.count() >= 2);
-    let replayed = aligner.estimate().unwrap();
-    assert_eq!((replayed.c_nb, replayed.sd), (estimate.c_nb, estimate.sd));
-    assert_eq!(replayed.gyro_bias_s, estimate.gyro_bias_s);
 
-    // The command does the same with the file alone, but that it keeps to one place.
+    // Up to the unit's last estimate, and of that no bit is lost.
+    let unit = line.last.unwrap();
+    let later = |row: &&LogRow| row.t_s * 1e6 > unit.t_us as f64 + 0.5;
+    let end = rows.iter().find(later).map_or(line.bytes.len(), |row| match row.at {
+        Place::Byte(at) => at as usize,
+        Place::Line(_) => panic!("{row:?}"),
+    });
     let mut seen = Seen::default();
-    let replay = self::replayed(&line.bytes, &mut seen);
-    assert_eq!(replay.state, "aligned");
-    assert!((replay.heading_sd_deg.unwrap() - f64::from(estimate.sd.heading) / DEG).abs() < 0.01);
+    let replay = replayed(&line.bytes[..end], &mut seen);
+    assert_same(&replay, &align::Reading::from_estimate(&unit.estimate.unwrap()));
+    let anew = rows.iter().filter(|row| row.taken == Some(Taken::AlignerAnew));
+    assert_eq!(anew.count(), 2);
+    assert!(
+        seen.warnings
+            .iter()
+            .any(|warning| warning.contains("settings changed 1 time;"))
+    );
+    // At the first place all along it would be another heading.
+    let reader = LogReader::new(&line.bytes[..end], "u.bin").unwrap();
+    let elsewhere = replay::replay_from(reader, |_| Setup::of(&scenario, Method::Robust), &mut ()).unwrap();
+    assert_ne!(elsewhere.heading_deg, replay.heading_deg);
     let told: Vec<_> = seen.statuses.iter().map(ToString::to_string).collect();
     assert_eq!(told, ["self-test", "homing", "coarse", "fine", "aligned"]);
 }

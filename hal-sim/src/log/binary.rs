@@ -110,7 +110,7 @@ pub enum Lost {
     Unknown,
     /// Restarts of the unit.
     Restarts,
-    /// Headers with other settings than the one before: a replay keeps those of the first.
+    /// Headers with other settings than the one before.
     Settings,
 }
 
@@ -142,7 +142,7 @@ impl Lost {
             Self::Restarts => write!(f, "the unit restarted {count} time{plural}"),
             Self::Settings => write!(
                 f,
-                "the unit's settings changed {count} time{plural}; a replay keeps the first"
+                "the unit's settings changed {count} time{plural}; a replay takes them up where the unit aligns anew"
             ),
         }
     }
