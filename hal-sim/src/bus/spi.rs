@@ -10,6 +10,7 @@ use vtime::{mark, now_ns, sleep_until_ns};
 
 use super::{Waiters, digest};
 use crate::device::SpiTarget;
+use crate::device::stream::{gather, scatter};
 
 /// How long things take on a bus.
 ///
@@ -193,46 +194,6 @@ impl<T: SpiTarget> SpiPort<T> {
         SpiBus::new().port(part, timing)
     }
 
-    /// The bytes of the operations as one stream, and the sum of their delays.
-    fn gather(&mut self, operations: &[Operation<'_, u8>]) -> u64 {
-        let mosi = &mut self.mosi;
-        mosi.clear();
-        let mut delay_ns = 0;
-        for operation in operations {
-            match operation {
-                Operation::Read(buffer) => mosi.resize(mosi.len() + buffer.len(), 0),
-                Operation::Write(buffer) => mosi.extend_from_slice(buffer),
-                Operation::Transfer(read, write) => {
-                    let end = mosi.len() + read.len().max(write.len());
-                    mosi.extend_from_slice(write);
-                    mosi.resize(end, 0);
-                }
-                Operation::TransferInPlace(buffer) => mosi.extend_from_slice(buffer),
-                Operation::DelayNs(ns) => delay_ns += u64::from(*ns),
-            }
-        }
-        self.miso.clear();
-        self.miso.resize(mosi.len(), 0);
-        delay_ns
-    }
-
-    fn scatter(&self, operations: &mut [Operation<'_, u8>]) {
-        let mut rest = self.miso.as_slice();
-        for operation in operations {
-            let (length, buffer): (usize, &mut [u8]) = match operation {
-                Operation::Read(buffer) | Operation::TransferInPlace(buffer) => (buffer.len(), buffer),
-                Operation::Transfer(read, write) => (read.len().max(write.len()), read),
-                Operation::Write(buffer) => (buffer.len(), &mut []),
-                Operation::DelayNs(_) => (0, &mut []),
-            };
-            let (head, tail) = rest.split_at(length);
-            for (to, from) in buffer.iter_mut().zip(head) {
-                *to = *from;
-            }
-            rest = tail;
-        }
-    }
-
     /// What the device hears and says, at the first clock.
     fn exchange(&mut self, at_ns: u64) {
         if let Some(before) = self.part.0.before.borrow_mut().as_mut() {
@@ -259,7 +220,9 @@ impl<T: SpiTarget> SpiDevice for SpiPort<T> {
     /// Cancellation: a transaction that is dropped keeps its time on the bus. Once begun, the device has
     /// heard everything; the buffers are as they were.
     async fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), SpiError> {
-        let delay_ns = self.gather(operations);
+        let delay_ns = gather(operations, &mut self.mosi);
+        self.miso.clear();
+        self.miso.resize(self.mosi.len(), 0);
         let SpiTiming {
             setup_ns,
             hold_ns,
@@ -284,7 +247,7 @@ impl<T: SpiTarget> SpiDevice for SpiPort<T> {
         }
         self.exchange(first_ns);
         sleep_until_ns(end_ns + u64::from(latency_ns)).await;
-        self.scatter(operations);
+        scatter(&self.miso, operations);
         Ok(())
     }
 }

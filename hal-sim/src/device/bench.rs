@@ -10,6 +10,7 @@ use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::spi::{ErrorType, Operation, SpiDevice};
 
 use super::SpiTarget;
+use super::stream::{gather, scatter};
 
 /// Chip select is high this long between two transactions, ns.
 const GAP_NS: u64 = 200;
@@ -81,38 +82,12 @@ impl<T: SpiTarget> SpiDevice for BenchSpi<T> {
     /// count as if they came after the bytes.
     async fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Infallible> {
         let mut mosi = Vec::new();
-        let mut delay_ns = GAP_NS;
-        for operation in operations.iter() {
-            match operation {
-                Operation::Read(buffer) => mosi.resize(mosi.len() + buffer.len(), 0),
-                Operation::Write(buffer) => mosi.extend_from_slice(buffer),
-                Operation::Transfer(read, write) => {
-                    let end = mosi.len() + read.len().max(write.len());
-                    mosi.extend_from_slice(write);
-                    mosi.resize(end, 0);
-                }
-                Operation::TransferInPlace(buffer) => mosi.extend_from_slice(buffer),
-                Operation::DelayNs(ns) => delay_ns += u64::from(*ns),
-            }
-        }
+        let delay_ns = GAP_NS + gather(operations, &mut mosi);
         let mut miso = vec![0; mosi.len()];
         self.device
             .borrow_mut()
             .transfer(self.now_ns.get() / 1000, &mosi, &mut miso);
-        let mut rest = miso.as_slice();
-        for operation in operations.iter_mut() {
-            let (length, buffer): (usize, &mut [u8]) = match operation {
-                Operation::Read(buffer) | Operation::TransferInPlace(buffer) => (buffer.len(), buffer),
-                Operation::Transfer(read, write) => (read.len().max(write.len()), read),
-                Operation::Write(buffer) => (buffer.len(), &mut []),
-                Operation::DelayNs(_) => (0, &mut []),
-            };
-            let (head, tail) = rest.split_at(length);
-            for (to, from) in buffer.iter_mut().zip(head) {
-                *to = *from;
-            }
-            rest = tail;
-        }
+        scatter(&miso, operations);
         let bits_ns = mosi.len() as u64 * 8_000_000_000 / u64::from(self.clock_hz);
         self.now_ns.set(self.now_ns.get() + bits_ns + delay_ns);
         Ok(())

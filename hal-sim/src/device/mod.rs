@@ -23,6 +23,7 @@ mod bench;
 pub mod flash;
 mod icm42688;
 mod mt6835;
+pub(crate) mod stream;
 
 pub use adis16495::Adis16495;
 pub use bench::{Bench, BenchDelay, BenchSpi};
