@@ -154,7 +154,17 @@ pub struct Angles {
     pub roll_deg: f64,
 }
 
+/// One of three angles.
+pub type AngleOf = fn(&Angles) -> f64;
+
 impl Angles {
+    /// The three with their names and units, as tables have them.
+    pub const NAMED: [(&'static str, AngleOf); 3] = [
+        ("heading (°)", |a| a.heading_deg),
+        ("pitch (°)", |a| a.pitch_deg),
+        ("roll (°)", |a| a.roll_deg),
+    ];
+
     /// From the core's radians.
     pub fn from_attitude<T: Real>(a: &Attitude<T>) -> Self {
         Self {

@@ -244,18 +244,10 @@ fn run_verdict(result: &RunResult, ideal: &Sigmas) -> (Tone, &'static str, Strin
     (tone, word, sentence)
 }
 
-/// One of three angles.
-type AngleOf = fn(&Angles) -> f64;
-
 fn run_rows(last: &Moment, ideal: &Sigmas) -> Vec<Vec<String>> {
     let Moment { reading, error, .. } = last;
-    let angles: [(&str, AngleOf); 3] = [
-        ("heading (°)", |a| a.heading_deg),
-        ("pitch (°)", |a| a.pitch_deg),
-        ("roll (°)", |a| a.roll_deg),
-    ];
     let mut rows: Vec<Vec<String>> = Vec::new();
-    for (name, of) in angles {
+    for (name, of) in Angles::NAMED {
         rows.push(vec![
             name.to_owned(),
             fixed(of(&reading.attitude), 4),

@@ -10,9 +10,6 @@ use crate::outcome::{Cost, Moment, Outcome, Verdict};
 /// kB as a linker counts them.
 const KB: f64 = 1024.0;
 
-/// One of three angles.
-type AngleOf = fn(&Angles) -> f64;
-
 /// The result of a run: attitude against truth, what happened, what was missing, what it cost.
 pub fn text(outcome: &Outcome) -> String {
     let mut text = String::new();
@@ -82,12 +79,7 @@ fn attitude(moment: &Moment) -> String {
         "{:<16}{:>12}{:>12}{:>12}{:>12}{:>12}   at {:.3} s\n",
         "", "truth", "estimate", "error", "sd", "error/sd", moment.t_s
     );
-    let angles: [(&str, AngleOf); 3] = [
-        ("heading (°)", |a| a.heading_deg),
-        ("pitch (°)", |a| a.pitch_deg),
-        ("roll (°)", |a| a.roll_deg),
-    ];
-    for (name, of) in angles {
+    for (name, of) in Angles::NAMED {
         let _ = writeln!(
             text,
             "{name:<16}{:>12.3}{:>12.3}{:>+12.3}{:>12.3}{:>+12.2}",
