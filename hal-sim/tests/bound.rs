@@ -5,22 +5,14 @@
     reason = "a test stops at the first surprise"
 )]
 
-use std::fs;
-use std::path::Path;
-use std::process::Output;
+mod common;
 
-use assert_cmd::Command;
+use std::fs;
+
 use serde_json::Value;
 use tempfile::TempDir;
 
-fn hal_sim(dir: &Path, arguments: &[&str]) -> Output {
-    Command::cargo_bin("hal-sim")
-        .unwrap()
-        .current_dir(dir)
-        .args(arguments)
-        .output()
-        .unwrap()
-}
+use common::hal_sim;
 
 #[test]
 fn the_table_its_limits_and_its_files() {

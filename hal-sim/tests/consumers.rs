@@ -4,32 +4,18 @@
 //! stopped; in between somebody types. What gpsd makes of the same run is in `.ci/gpsdecode`.
 #![allow(clippy::unwrap_used, reason = "the helpers of tests are tests")]
 
+mod common;
+
 use std::collections::{BTreeMap, BTreeSet};
 
-use app::shared::Navigation;
 use frames::units::DEG;
 use hal_sim::align::Method;
-use hal_sim::bus::UartLine;
-use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
-use hal_sim::unit_sim::{self, Observer, Typed};
+use hal_sim::scenario::{FaultAt, FaultKind};
+use hal_sim::unit_sim::{self, Typed};
 use nmea_kit::NmeaSentence;
 use nmea_kit::nmea::ddmm_to_decimal;
 
-#[derive(Default)]
-struct Port {
-    lines: Vec<UartLine>,
-    estimates: Vec<Navigation>,
-}
-
-impl Observer for Port {
-    fn sentence(&mut self, line: &UartLine) {
-        self.lines.push(line.clone());
-    }
-
-    fn estimate(&mut self, navigation: &Navigation) {
-        self.estimates.push(*navigation);
-    }
-}
+use common::{Port, paper};
 
 /// Off by less than half a digit, on a circle of `turn`, or without one.
 fn is(shown: Option<impl Into<f64>>, expected: f64, digit: f64, turn: Option<f64>, text: &str) {
@@ -44,7 +30,7 @@ fn is(shown: Option<impl Into<f64>>, expected: f64, digit: f64, turn: Option<f64
 
 #[test]
 fn another_parser_reads_every_sentence_of_a_units_life() {
-    let mut scenario = Scenario::builtin("paper-sim").unwrap();
+    let mut scenario = paper();
     scenario.place.latitude_deg = -40.0;
     scenario.run.duration_s = 600.0;
     scenario.fault.push(FaultAt {
@@ -81,8 +67,7 @@ fn another_parser_reads_every_sentence_of_a_units_life() {
         let frame = nmea_kit::parse_frame(text).unwrap_or_else(|e| panic!("{text:?}: {e:?}"));
         assert!(frame.talker == "HE" || frame.sentence_type.starts_with('P'), "{text:?}");
         *counts.entry(frame.sentence_type.to_owned()).or_default() += 1;
-        let next = port.estimates.partition_point(|at| at.t_us < line.started_ns / 1000);
-        let navigation = next.checked_sub(1).map(|last| port.estimates[last]);
+        let navigation = port.estimate_at(line);
         let estimate = || navigation.unwrap().estimate.unwrap();
         let deg = |rad: f32| f64::from(rad) / DEG;
         match NmeaSentence::parse(&frame) {

@@ -1,22 +1,14 @@
 //! `allan` and `calibrate` as users meet them.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
-use std::fs;
-use std::path::Path;
-use std::process::Output;
+mod common;
 
-use assert_cmd::Command;
+use std::fs;
+
 use hal_sim::unit::Unit;
 use tempfile::TempDir;
 
-fn hal_sim(dir: &Path, arguments: &[&str]) -> Output {
-    Command::cargo_bin("hal-sim")
-        .unwrap()
-        .current_dir(dir)
-        .args(arguments)
-        .output()
-        .unwrap()
-}
+use common::hal_sim;
 
 /// A unit at rest for 20 minutes is simulated, logged and analysed: its own figures come back in a UNIT.toml.
 #[test]

@@ -1,10 +1,11 @@
 //! The unit's record on its serial line: encoded by the unit's code, amid sentences and damage, read and replayed.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
+mod common;
+
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
-use std::process::Output;
 use std::sync::OnceLock;
 
 use app::command::ModeName;
@@ -12,15 +13,11 @@ use app::fault::Fault;
 use app::mode::Status;
 use app::nmea::{self, HeadingMode};
 use app::record::{self, Recorder, Taken};
-
 use app::sample::TimedSample;
-use app::shared::Navigation;
-use assert_cmd::Command;
 use drivers::{Channels, Identity, Scale};
 use frames::units::DEG;
 use frames::{Sensor, Vec3};
 use hal_sim::align::{self, Method, Setup};
-use hal_sim::bus::UartLine;
 use hal_sim::log::{Header, LogError, LogReader, LogRow, LogWriter, Loss, Lost, Place, UnitStatus};
 use hal_sim::replay::{self, Observer, Replay};
 use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
@@ -31,6 +28,8 @@ use nav::increment::Sample;
 use nav::model::ROBUST;
 use proptest::prelude::*;
 use tempfile::TempDir;
+
+use common::{Port, hal_sim, paper};
 
 /// Samples a second of the unit.
 const RATE_HZ: f64 = 202.4;
@@ -883,15 +882,6 @@ fn the_example_of_the_manual() {
     assert_eq!((rows.len(), loss.count(Lost::Bytes)), (2, 0));
 }
 
-fn hal_sim(dir: &Path, arguments: &[&str]) -> Output {
-    Command::cargo_bin("hal-sim")
-        .unwrap()
-        .current_dir(dir)
-        .args(arguments)
-        .output()
-        .unwrap()
-}
-
 /// The commands that read logs read recordings as well.
 #[test]
 fn commands_read_recordings() {
@@ -972,23 +962,6 @@ fn a_recording_calibrates() {
     assert!(binary.iter().zip(&csv).all(close), "{binary:?} {csv:?}");
 }
 
-/// What comes from the serial port of a whole unit, and what the unit had.
-#[derive(Default)]
-struct Line {
-    bytes: Vec<u8>,
-    last: Option<Navigation>,
-}
-
-impl unit_sim::Observer for Line {
-    fn sentence(&mut self, line: &UartLine) {
-        self.bytes.extend_from_slice(&line.bytes);
-    }
-
-    fn estimate(&mut self, navigation: &Navigation) {
-        self.last = Some(*navigation);
-    }
-}
-
 /// The unit in virtual time is told to record, and in the midst of its first alignment to align again at another place; its
 /// motor's loop stalls now and then, so that samples have no angle.
 #[test]
@@ -996,7 +969,7 @@ fn a_whole_unit_records_itself() {
     let scenario = Scenario {
         run: hal_sim::scenario::Run {
             duration_s: 150.0,
-            ..Scenario::builtin("paper-sim").unwrap().run
+            ..paper().run
         },
         fault: [70.0, 90.0, 110.001, 130.002]
             .map(|at_s| FaultAt {
@@ -1005,20 +978,21 @@ fn a_whole_unit_records_itself() {
                 kind: FaultKind::HangMotor,
             })
             .to_vec(),
-        ..Scenario::builtin("paper-sim").unwrap()
+        ..paper()
     };
     let typed = ["0.1 record on", "50 set latitude 40.001", "50.5 align"].map(|line| line.parse().unwrap());
-    let mut line = Line::default();
-    let result = unit_sim::run_session(&scenario, 3, Method::Robust, &typed, &mut line).unwrap();
+    let mut port = Port::default();
+    let result = unit_sim::run_session(&scenario, 3, Method::Robust, &typed, &mut port).unwrap();
+    let line: Vec<u8> = port.lines.iter().flat_map(|line| &line.bytes).copied().collect();
     assert_eq!((result.state, result.samples.overruns), ("aligned", 0));
 
-    let reader = LogReader::new(&line.bytes[..], "u.bin").unwrap();
+    let reader = LogReader::new(&line[..], "u.bin").unwrap();
     let header = reader.header().unwrap();
     assert_eq!(
         (header.firmware.as_str(), header.imu.product),
         (env!("CARGO_PKG_VERSION"), 16495)
     );
-    let (rows, loss, wrong) = read(&line.bytes);
+    let (rows, loss, wrong) = read(&line);
     assert_eq!(wrong, None);
     for kind in [
         Lost::Bytes,
@@ -1031,7 +1005,7 @@ fn a_whole_unit_records_itself() {
     }
     // Ten cycles a second of three sentences at the least: the line has room for them.
     assert!(loss.sentences as f64 > 0.95 * 30.0 * result.t_s, "{}", loss.sentences);
-    assert!(line.bytes.len() as f64 / result.t_s < 0.9 * 11_520.0);
+    assert!(line.len() as f64 / result.t_s < 0.9 * 11_520.0);
 
     let unseen = rows
         .windows(2)
@@ -1039,14 +1013,14 @@ fn a_whole_unit_records_itself() {
     assert!(unseen.count() >= 2);
 
     // Up to the unit's last estimate, and of that no bit is lost.
-    let unit = line.last.unwrap();
+    let unit = port.estimates.last().unwrap();
     let later = |row: &&LogRow| row.t_s * 1e6 > unit.t_us as f64 + 0.5;
-    let end = rows.iter().find(later).map_or(line.bytes.len(), |row| match row.at {
+    let end = rows.iter().find(later).map_or(line.len(), |row| match row.at {
         Place::Byte(at) => at as usize,
         Place::Line(_) => panic!("{row:?}"),
     });
     let mut seen = Seen::default();
-    let replay = replayed(&line.bytes[..end], &mut seen);
+    let replay = replayed(&line[..end], &mut seen);
     assert_same(&replay, &align::Reading::from_estimate(&unit.estimate.unwrap()));
     let anew = rows.iter().filter(|row| row.taken == Some(Taken::AlignerAnew));
     assert_eq!(anew.count(), 2);
@@ -1056,7 +1030,7 @@ fn a_whole_unit_records_itself() {
             .any(|warning| warning.contains("settings changed 1 time;"))
     );
     // At the first place all along it would be another heading.
-    let reader = LogReader::new(&line.bytes[..end], "u.bin").unwrap();
+    let reader = LogReader::new(&line[..end], "u.bin").unwrap();
     let elsewhere = replay::replay_from(reader, |_| Setup::of(&scenario, Method::Robust), &mut ()).unwrap();
     assert_ne!(elsewhere.heading_deg, replay.heading_deg);
     let told: Vec<_> = seen.statuses.iter().map(ToString::to_string).collect();

@@ -5,21 +5,14 @@
     reason = "a test stops at the first surprise"
 )]
 
-use std::path::Path;
+mod common;
+
 use std::process::Output;
 
-use assert_cmd::Command;
 use serde_json::Value;
 use tempfile::TempDir;
 
-fn hal_sim(dir: &Path, arguments: &[&str]) -> Output {
-    Command::cargo_bin("hal-sim")
-        .unwrap()
-        .current_dir(dir)
-        .args(arguments)
-        .output()
-        .unwrap()
-}
+use common::hal_sim;
 
 fn json(output: &Output) -> Value {
     assert_eq!(output.status.code(), Some(0), "{output:?}");

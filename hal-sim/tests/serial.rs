@@ -1,42 +1,20 @@
 //! The unit's serial port: every sentence of a run read by another's parser, and compared with the estimates.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use app::shared::Navigation;
+mod common;
+
 use frames::units::DEG;
 use hal_sim::align::Method;
 use hal_sim::bus::UartLine;
 use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
 use hal_sim::truth::Truth;
-use hal_sim::unit_sim::{self, Observer, UnitResult};
+use hal_sim::unit_sim::{self, UnitResult};
 use nmea_kit::NmeaSentence;
+
+use common::{Port, paper};
 
 /// Bytes a second that 115200 baud carry.
 const LINE: f64 = 11_520.0;
-
-#[derive(Default)]
-struct Port {
-    lines: Vec<UartLine>,
-    estimates: Vec<Navigation>,
-}
-
-impl Observer for Port {
-    fn sentence(&mut self, line: &UartLine) {
-        self.lines.push(line.clone());
-    }
-
-    fn estimate(&mut self, navigation: &Navigation) {
-        self.estimates.push(*navigation);
-    }
-}
-
-impl Port {
-    /// The latest estimate at the first byte of a line.
-    fn estimate_at(&self, line: &UartLine) -> &Navigation {
-        let begun_us = line.started_ns / 1000;
-        let next = self.estimates.partition_point(|at| at.t_us < begun_us);
-        &self.estimates[next - 1]
-    }
-}
 
 fn run(scenario: &Scenario, seed: u64) -> (Port, UnitResult) {
     let mut port = Port::default();
@@ -79,7 +57,7 @@ fn fields<'a>(port: &'a Port, head: &str, n: usize) -> Vec<(f64, &'a str)> {
 
 #[test]
 fn every_sentence_of_a_run_is_read_and_is_the_estimate() {
-    let (port, result) = run(&Scenario::builtin("paper-sim").unwrap(), 1);
+    let (port, result) = run(&paper(), 1);
     assert_eq!(result.state, "aligned");
     let (mut mode, mut valid_ns) = ('V', 0);
     let mut compared = 0;
@@ -87,7 +65,7 @@ fn every_sentence_of_a_run_is_read_and_is_the_estimate() {
         let text = text(line);
         let frame = nmea_kit::parse_frame(text).unwrap_or_else(|e| panic!("{text:?}: {e:?}"));
         let navigation = || {
-            let navigation = port.estimate_at(line);
+            let navigation = port.estimate_at(line).unwrap();
             // A heading is as fresh as its way to the line: one poll of the task and the first byte.
             let age_us = line.started_ns / 1000 - navigation.t_us;
             assert!(age_us < 30_000, "{text:?} is {age_us} us old");
@@ -107,7 +85,7 @@ fn every_sentence_of_a_run_is_read_and_is_the_estimate() {
                 mode = ths.mode.unwrap();
                 assert_eq!(ths.heading_true.is_some(), mode != 'V');
                 if mode != 'V' {
-                    let age_us = line.started_ns / 1000 - port.estimate_at(line).t_us;
+                    let age_us = line.started_ns / 1000 - port.estimate_at(line).unwrap().t_us;
                     assert!(age_us < 1_000, "{age_us}");
                     is_heading(ths.heading_true);
                     compared += 1;
@@ -195,7 +173,7 @@ fn every_sentence_of_a_run_is_read_and_is_the_estimate() {
 /// The rate of turn of the true heading, as late as the smoothing makes it.
 #[test]
 fn the_rate_of_turn_is_the_housings() {
-    let scenario = Scenario::builtin("paper-sim").unwrap();
+    let scenario = paper();
     let (port, _) = run(&scenario, 2);
     let truth = Truth::new(&scenario, 2).unwrap();
     let rate = |t: f64| {
@@ -227,7 +205,7 @@ fn the_rate_of_turn_is_the_housings() {
 
 #[test]
 fn a_fault_takes_the_heading_back_at_once() {
-    let mut scenario = Scenario::builtin("paper-sim").unwrap();
+    let mut scenario = paper();
     scenario.run.duration_s = 150.0;
     scenario.fault.push(FaultAt {
         at_s: 140.0,

@@ -1,6 +1,8 @@
 //! Sessions with the whole unit: what is typed on its serial line, and what comes of it.
 #![allow(clippy::unwrap_used, reason = "the helpers of tests are tests")]
 
+mod common;
+
 use frames::units::{DEG, DEG_PER_HOUR, PPM};
 use hal_sim::align::Method;
 use hal_sim::bus::UartLine;
@@ -14,10 +16,7 @@ struct Answers(Vec<String>);
 
 impl Observer for Answers {
     fn sentence(&mut self, line: &UartLine) {
-        let text = String::from_utf8_lossy(&line.bytes).into_owned();
-        if let Some(answer) = text.strip_prefix("$PRNSA,") {
-            self.0.push(answer.split('*').next().unwrap_or_default().to_owned());
-        }
+        self.0.extend(common::answer(line));
     }
 }
 

@@ -1,6 +1,8 @@
 //! The whole unit in virtual time: alignment, determinism, lost samples, faults.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+mod common;
+
 use std::collections::BTreeMap;
 
 use app::blackbox::CRASHES;
@@ -13,9 +15,7 @@ use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
 use hal_sim::unit_sim::{self, Line, Observer, RobustSession, UnitResult};
 use rayon::prelude::*;
 
-fn paper() -> Scenario {
-    Scenario::builtin("paper-sim").unwrap()
-}
+use common::paper;
 
 fn run(scenario: &Scenario, seed: u64) -> UnitResult {
     unit_sim::run(scenario, seed, Method::Robust, &mut ()).unwrap()
@@ -223,11 +223,8 @@ impl Observer for Said {
     }
 
     fn sentence(&mut self, line: &UartLine) {
-        let text = String::from_utf8_lossy(&line.bytes).into_owned();
-        if let Some(answer) = text.strip_prefix("$PRNSA,") {
-            self.answers
-                .push(answer.split('*').next().unwrap_or_default().to_owned());
-        }
+        self.answers.extend(common::answer(line));
+        let text = String::from_utf8_lossy(&line.bytes);
         let fields: Vec<_> = text.split(['*', ',']).map(str::to_owned).collect();
         self.sentences.insert(fields[0].clone(), fields);
     }
