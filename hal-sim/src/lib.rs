@@ -23,6 +23,7 @@ pub mod inspect;
 pub mod link;
 pub mod log;
 pub mod monte_carlo;
+pub mod nmea;
 pub mod observability;
 pub mod plant;
 pub mod plot;

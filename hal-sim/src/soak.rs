@@ -43,6 +43,7 @@ use serde::Serialize;
 
 use crate::align::Method;
 use crate::bus::{UartFaults, UartLine};
+use crate::nmea;
 use crate::scenario::{FaultKind, Scenario};
 use crate::unit_sim::{FaultFound, Line, Observer, RobustSession, UnitError, Watched};
 
@@ -432,12 +433,7 @@ fn is_sound(line: &[u8]) -> bool {
         let parts = frame.split_last_chunk();
         return parts.is_some_and(|(body, crc)| crc32(body.iter().copied()) == u32::from_le_bytes(*crc));
     }
-    let body = line.strip_prefix(b"$").and_then(|line| line.strip_suffix(b"\r\n"));
-    let Some((body, sum)) = body.and_then(|body| body.split_last_chunk::<3>()) else {
-        return false;
-    };
-    let expected = body.iter().fold(0, |sum, byte| sum ^ byte);
-    format!("*{expected:02X}").as_bytes() == sum
+    nmea::whole(line).is_some()
 }
 
 /// What a line that was typed must bring about.

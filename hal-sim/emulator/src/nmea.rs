@@ -1,11 +1,10 @@
 //! What comes over the serial line: sentences of NMEA 0183, cut from the bytes and checked.
 
+use app::nmea::LONGEST;
 use app::record;
 use hal_sim::align::Angles;
 use serde::Serialize;
 
-/// Longest sentence, CR LF included, bytes.
-const LONGEST: usize = 82;
 /// A pause that ends a burst, ns: ten characters at 115200 baud.
 const PAUSE_NS: u64 = 870_000;
 
@@ -99,10 +98,7 @@ impl Splitter {
 /// The text of a line that is a sentence, its CR included.
 fn checked(line: &[u8]) -> Option<String> {
     let text = core::str::from_utf8(line).ok()?.strip_suffix('\r')?;
-    let (body, sum) = text.strip_prefix('$')?.split_once('*')?;
-    let expected = body.bytes().fold(0, |sum, byte| sum ^ byte);
-    let found = u8::from_str_radix(sum, 16).ok()?;
-    (sum.len() == 2 && found == expected && line.len() < LONGEST).then(|| text.to_owned())
+    (hal_sim::nmea::body(text).is_ok() && line.len() < LONGEST).then(|| text.to_owned())
 }
 
 /// Whether a sentence is the answer to a command.

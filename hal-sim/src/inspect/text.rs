@@ -12,6 +12,7 @@
 use log::Level;
 
 use super::wording::{self, Attitude};
+use crate::nmea;
 
 /// Levels by name. What the emulator says itself has one of its own.
 const LEVELS: [(&str, Option<Level>); 6] = [
@@ -118,9 +119,7 @@ fn without_place(text: &str) -> &str {
 
 /// The fields of a sentence of NMEA 0183 whose check sum is right, its name first.
 pub fn sentence(raw: &str) -> Option<Vec<&str>> {
-    let (body, sum) = raw.trim().strip_prefix('$')?.split_once('*')?;
-    let expected = body.bytes().fold(0, |sum, byte| sum ^ byte);
-    (u8::from_str_radix(sum, 16) == Ok(expected)).then(|| body.split(',').collect())
+    Some(nmea::body(raw.trim()).ok()?.split(',').collect())
 }
 
 fn number(fields: &[&str], k: usize) -> Option<f64> {

@@ -9,6 +9,8 @@ use app::nmea::LONGEST;
 use app::record;
 use drivers::crc::crc32;
 
+use crate::nmea;
+
 /// Time over which sentences are counted for their rate, s.
 const RATE_S: f64 = 3.0;
 /// Later than this after its coming a value is old, s: ten cycles.
@@ -168,16 +170,17 @@ impl Monitor {
 
     fn end(&mut self, line: &[u8], now_s: f64, heard: &mut dyn FnMut(Heard, &Self)) {
         let text = core::str::from_utf8(line).unwrap_or_default().trim_end();
-        let parts = text.strip_prefix('$').and_then(|text| text.rsplit_once('*'));
-        let Some((body, sum)) = parts.filter(|(_, sum)| sum.len() == 2) else {
-            self.counts.broken += 1;
-            return;
+        let body = match nmea::body(text) {
+            Ok(body) => body,
+            Err(nmea::Wrong::Frame) => {
+                self.counts.broken += 1;
+                return;
+            }
+            Err(nmea::Wrong::CheckSum) => {
+                self.counts.checksum += 1;
+                return;
+            }
         };
-        let expected = body.bytes().fold(0, |sum, byte| sum ^ byte);
-        if u8::from_str_radix(sum, 16) != Ok(expected) {
-            self.counts.checksum += 1;
-            return;
-        }
         self.counts.sentences += 1;
         self.times.push_back(now_s);
         while self.times.front().is_some_and(|at| now_s - at > RATE_S) {

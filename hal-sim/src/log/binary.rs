@@ -15,6 +15,7 @@
 use std::collections::VecDeque;
 use std::io::{self, BufRead};
 
+use app::nmea::LONGEST;
 use app::record::{
     ANGLE, CRC, FAULT, FIRMWARE, GAP, HEADER, HEADER_FIXED, KEY, LATCHED, LEAD, LONGEST_BODY, SAMPLE, SATURATED,
     STATUS, SYNC, TAKEN_SHIFT, Taken, VERSION,
@@ -26,10 +27,10 @@ use nav::increment::Sample;
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 
+use crate::nmea;
+
 use super::{Gap, LIMITS, LogError, LogProblem, LogRow, LogWarning, Place, WarningKind};
 
-/// Longest sentence of NMEA 0183, bytes.
-const SENTENCE: usize = 82;
 /// Indices of samples there are.
 const INDICES: u64 = 1 << 16;
 /// Statuses kept for a reader that does not ask.
@@ -222,29 +223,16 @@ fn look(bytes: &[u8]) -> Found {
                 Found::Nothing
             }
         }
-        Some(b'$') => match bytes.iter().take(SENTENCE).position(|byte| *byte == b'\n') {
-            Some(feed) if is_sentence(&bytes[..=feed]) => Found::Sentence(feed + 1),
+        Some(b'$') => match bytes.iter().take(LONGEST).position(|byte| *byte == b'\n') {
+            Some(feed) if nmea::whole(&bytes[..=feed]).is_some() => Found::Sentence(feed + 1),
             Some(_) => Found::Nothing,
-            None if bytes.len() < SENTENCE => Found::More(SENTENCE),
+            None if bytes.len() < LONGEST => Found::More(LONGEST),
             None => Found::Nothing,
         },
         Some(b'\r' | b'\n') => Found::LineEnd,
         Some(_) => Found::Nothing,
         None => Found::More(1),
     }
-}
-
-/// Whether it is a sentence from `$` to CR LF, by its check sum.
-fn is_sentence(bytes: &[u8]) -> bool {
-    let Some((body, sum)) = bytes
-        .strip_prefix(b"$")
-        .and_then(|rest| rest.strip_suffix(b"\r\n"))
-        .and_then(|rest| rest.split_last_chunk::<3>())
-    else {
-        return false;
-    };
-    let expected = body.iter().fold(0, |sum, byte| sum ^ byte);
-    body.is_ascii() && *sum == *format!("*{expected:02X}").as_bytes()
 }
 
 /// Whether the start of a file is what a unit sends: there is a frame or a sentence.
