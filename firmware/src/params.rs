@@ -3,15 +3,14 @@
 //! What stands here is what the unit is built from, and what holds until the settings say otherwise: see
 //! [`app::settings`].
 
-use app::alignment::AlignmentConfig;
 use app::rotor::{self, CalibrationConfig, ControlConfig, HomeSwitch, Homing, Limits, MotorConfig, PhaseOrder};
 use app::sampling::SamplingConfig;
-use app::selftest::InspectionConfig;
-use app::settings::{Position, Settings};
+use app::settings::Settings;
 use app::supervisor::SupervisorConfig;
 use drivers::mt6835;
-use frames::units::{DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ};
-use nav::aligner::AlignerConfig;
+#[cfg(not(feature = "icm42688"))]
+use frames::units::DEG_PER_HOUR;
+use frames::units::{DEG, DEG_PER_SQRT_HOUR};
 use nav::fine::{FilterConfig, Method};
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
@@ -38,10 +37,31 @@ const MOTOR: MotorConfig = MotorConfig {
     electrical_offset: None,
 };
 
-/// The settings of a unit that nobody has set. The place is only a beginning: `set latitude`.
+/// The gyros of an ADIS16495-1 by its data sheet, rev. C: 0.09 °/√h, and 0.8 °/h at the best of the Allan deviation.
+#[cfg(not(feature = "icm42688"))]
+fn gyros() -> ImuNoise {
+    ImuNoise {
+        angle_random_walk: (0.09 * DEG_PER_SQRT_HOUR) as f32,
+        gyro_instability_sd: (1.6 * 0.8 * DEG_PER_HOUR) as f32,
+        ..ImuNoise::default()
+    }
+}
+
+/// The gyros of an ICM-42688-P by its data sheet: 2.8 m°/s/√Hz.
+#[cfg(feature = "icm42688")]
+fn gyros() -> ImuNoise {
+    ImuNoise {
+        angle_random_walk: (0.168 * DEG_PER_SQRT_HOUR) as f32,
+        ..ImuNoise::default()
+    }
+}
+
+/// The settings of a unit that nobody has set. The place is only a beginning, `set latitude`, and so are the gyros'
+/// figures: an Allan plot of the part fitted is better, `set gyro-arw`.
 pub fn factory() -> Settings {
     Settings {
         motion: SCHEDULE,
+        noise: gyros(),
         ..Settings::default()
     }
 }
@@ -98,29 +118,12 @@ pub fn sampling() -> SamplingConfig {
     config
 }
 
-/// The aligner. The IMU's figures are those of \[Xing18\] Table 2; an Allan plot of the part fitted is better.
-pub fn aligner(settings: &Settings) -> AlignerConfig {
-    let filter = FilterConfig {
-        noise: ImuNoise {
-            gyro_bias_sd: (10.0 * DEG_PER_HOUR) as f32,
-            accel_bias_sd: (100.0 * MICRO_G) as f32,
-            angle_random_walk: (0.02 * DEG_PER_SQRT_HOUR) as f32,
-            velocity_random_walk: (10.0 * MICRO_G_PER_SQRT_HZ) as f32,
-            gyro_instability_sd: 0.0,
-            gyro_instability_tau: 0.0,
-            gyro_scale_factor_sd: 0.0,
-            gyro_misalignment_sd: 0.0,
-        },
+/// The fine filter. Its noise is in the settings.
+pub fn filter() -> FilterConfig {
+    FilterConfig {
         method: Method::strong_tracking(),
         ..FilterConfig::default()
-    };
-    let Position { latitude, height, .. } = settings.position();
-    AlignerConfig::for_rotor(latitude, height, &settings.motion, filter)
-}
-
-/// What the alignment does besides aligning: 20 estimates a second, calibration, navigation.
-pub fn alignment(settings: &Settings) -> AlignmentConfig {
-    AlignmentConfig::for_aligner(&aligner(settings), &settings.motion, InspectionConfig::default())
+    }
 }
 
 /// Supervision.

@@ -28,7 +28,7 @@ use embassy_executor::Spawner;
 use embassy_stm32::gpio::{Flex, Input, Output};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::Delay;
-use nav::aligner::Aligner;
+use nav::aligner::{Aligner, AlignerConfig};
 use static_cell::StaticCell;
 
 use crate::board::{
@@ -57,7 +57,9 @@ pub async fn start(spawner: Spawner, mut board: Board, blackbox: BlackBox<BlackB
     let mut store = Store::new(board.settings);
     let (settings, report) = store.load_over(params::factory()).await;
     app::log::settings(&report);
-    let (shared, aligner) = (shared(settings), aligner(&settings));
+    let shared = shared(settings);
+    let aligning = settings.aligner(params::filter());
+    let aligner = aligner(aligning);
     let encoder = MagneticEncoder {
         driver: Mt6835::new(board.encoder),
         config: params::ENCODER,
@@ -73,7 +75,11 @@ pub async fn start(spawner: Spawner, mut board: Board, blackbox: BlackBox<BlackB
     let (Ok(motor), Ok(sampling), Ok(alignment), Ok(supervisor), Ok(output), Ok(console), Ok(report)) = (
         motor(shared, encoder, drive, rotor(&settings), settings.encoder.correction),
         sampling(shared, imu, board.imu_ready),
-        alignment(shared, aligner, params::alignment(&settings)),
+        alignment(
+            shared,
+            aligner,
+            AlignmentConfig::for_aligner(&aligning, &settings.motion),
+        ),
         supervisor(shared, board.watchdog, blackbox),
         output(shared, board.serial_tx, settings.output),
         console(shared, board.serial_rx, store),
@@ -109,8 +115,8 @@ fn rotor(settings: &Settings) -> &'static mut Rotor {
     })
 }
 
-fn aligner(settings: &Settings) -> &'static mut Aligner {
-    match Aligner::place(ALIGNER.uninit(), params::aligner(settings)) {
+fn aligner(config: AlignerConfig) -> &'static mut Aligner {
+    match Aligner::place(ALIGNER.uninit(), config) {
         Ok(aligner) => aligner,
         Err(_) => defmt::panic!("params.rs: the aligner's figures are refused"),
     }

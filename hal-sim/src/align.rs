@@ -1,12 +1,14 @@
 //! The unit's own aligner on the host: how a scenario's or a user's figures become its configuration,
 //! and what it says in degrees.
 
+use app::settings::{Installation, Position, Settings, Source};
 use frames::units::{ARC_MIN, ARC_SEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
 use frames::{Attitude, AttitudeSd, Real, Sensor, Vec3};
 use nav::aligner::{Aligner, AlignerConfig, AlignerError, Estimate, Event, Mode, NotReady, Restart};
 use nav::constraint::ConstraintConfig;
 use nav::fine::{self, EncoderConstraint, FilterConfig};
 use nav::increment::Sample;
+use nav::model::ROBUST;
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 use serde::{Deserialize, Serialize};
@@ -109,6 +111,29 @@ impl Setup {
         AlignerConfig::for_rotor(T::lit(self.latitude_deg * DEG), T::lit(self.height_m), &rotor, filter)
     }
 
+    /// The settings of such a unit.
+    pub fn settings(&self) -> Settings {
+        let config = self.config::<f32, ROBUST>();
+        Settings {
+            installation: Installation {
+                position: Position {
+                    latitude: config.latitude,
+                    height: config.height,
+                    longitude: 0.0,
+                    source: Source::Operator,
+                },
+                ..Installation::default()
+            },
+            motion: RotorConfig {
+                rate: self.rotor.rate as f32,
+                travel: self.rotor.travel as f32,
+                acceleration: self.rotor.acceleration as f32,
+            },
+            noise: config.filter.noise,
+            ..Settings::default()
+        }
+    }
+
     /// The aligner itself, as the firmware has it.
     ///
     /// # Errors
@@ -120,14 +145,13 @@ impl Setup {
 
 /// The filter's noise figures, SI, of a unit's data sheet.
 pub fn noise<T: Real>(unit: &Unit) -> ImuNoise<T> {
-    let instability = unit.gyro_instability_deg_h > 0.0;
     ImuNoise {
         gyro_bias_sd: T::lit(unit.gyro_bias_sd_deg_h * DEG_PER_HOUR),
         accel_bias_sd: T::lit(unit.accel_bias_sd_ug * MICRO_G),
         angle_random_walk: T::lit(unit.angle_random_walk_deg_sqrt_h * DEG_PER_SQRT_HOUR),
         velocity_random_walk: T::lit(unit.velocity_random_walk_ug_sqrt_hz * MICRO_G_PER_SQRT_HZ),
         gyro_instability_sd: T::lit(unit.gyro_instability_deg_h * DEG_PER_HOUR),
-        gyro_instability_tau: T::lit(if instability { unit.gyro_instability_tau_s } else { 0.0 }),
+        gyro_instability_tau: T::lit(unit.gyro_instability_tau_s),
         gyro_scale_factor_sd: T::lit(unit.gyro_scale_factor_sd_ppm * PPM),
         gyro_misalignment_sd: T::lit(unit.gyro_misalignment_sd_arcmin * ARC_MIN),
     }

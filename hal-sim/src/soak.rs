@@ -492,6 +492,8 @@ struct Soak {
     next_look_us: u64,
     /// The cable was wound past what it bears, and that has been told.
     wound: bool,
+    /// The heading is wrong, and that has been told.
+    wrong: bool,
     received: u32,
     limit_us: u64,
 }
@@ -573,6 +575,7 @@ impl Soak {
             last_fault: None,
             next_look_us: 0,
             wound: false,
+            wrong: false,
             received: 0,
             limit_us: FIRST_US,
         })
@@ -1117,7 +1120,16 @@ impl Soak {
                 .max(0.0)
                 .sqrt();
             heading.largest_deg = heading.largest_deg.max(moment.error.heading_deg.abs());
-            heading.beyond_5_sd += u32::from(normalised.abs() > 5.0);
+            let wrong = normalised.abs() > 5.0;
+            heading.beyond_5_sd += u32::from(wrong);
+            if wrong && !core::mem::replace(&mut self.wrong, wrong) {
+                let (error, sd) = (moment.error.heading_deg, moment.reading.sd.heading_deg);
+                self.fail(format!(
+                    "heading is said to be valid, with an error of {error:.2} deg and sd {sd:.2}"
+                ));
+            } else {
+                self.wrong = wrong;
+            }
         }
     }
 

@@ -77,6 +77,10 @@ fn change(settings: &mut Settings, group: Group, rng: &mut ChaCha8Rng) {
             }))
             .unwrap();
         }
+        Group::Noise => {
+            settings.noise.angle_random_walk = rng.random_range(1e-6..1e-4);
+            settings.noise.gyro_misalignment_sd = rng.random_range(0.0..0.05);
+        }
     }
 }
 

@@ -119,6 +119,33 @@ fn samples_without_an_angle_are_bridged() {
     assert!(off < 0.15, "{off}");
 }
 
+/// DEC_RATE is written with what it holds already: the part begins its sample anew and counts on, so that up to a period
+/// of the swing is in no sample. On a base that tilts by 8 °/s that is up to 0.04°, and 10° of heading if it is taken for
+/// none.
+#[test]
+fn a_sample_that_slips_is_a_gap() {
+    let scenario = paper();
+    let heading = |seed, slips: &[u64]| {
+        let mut lines = Lines::default();
+        let mut session = RobustSession::new(&scenario, seed, Method::Robust, &[]).unwrap();
+        for at_us in slips {
+            session.run_until_us(*at_us, &mut lines).unwrap();
+            session.set_fault(FaultKind::ImuRate, false);
+        }
+        session.run_until_us(150_000_000, &mut lines).unwrap();
+        let slipped = lines.0.iter().filter(|line| line.contains(" ms late")).count();
+        let moment = session.moment().unwrap();
+        (moment.error.heading_deg, moment.reading.sd.heading_deg, slipped)
+    };
+    for seed in 1..=4 {
+        let slips = [20_001_000, 31_302_000, 42_703_000, 55_104_000, 90_000_500];
+        let ((with, sd, slipped), (without, ..)) = (heading(seed, &slips), heading(seed, &[]));
+        println!("seed {seed}: {slipped} slipped, heading off by {with:.3} deg, {without:.3} without, sd {sd:.3}");
+        assert_eq!(slipped, slips.len());
+        assert!((with - without).abs() < 0.3 * sd, "{with} {without} {sd}");
+    }
+}
+
 /// Where the unit is some time after a fault that lasts for a second.
 fn outcome(result: &UnitResult) -> String {
     let found = &result.faults[0];

@@ -310,7 +310,7 @@ fn open_flash(path: &Path, setup: &mut Setup) -> Result<File, String> {
     let mut file = options.open(path).map_err(problem)?;
     let mut bytes = Vec::new();
     file.read_to_end(&mut bytes).map_err(problem)?;
-    // A file of no length is one that was not there.
+    // A file of no length is one that was not there: the unit is set up for the scenario.
     setup.flash = (!bytes.is_empty()).then_some(bytes);
     Ok(file)
 }

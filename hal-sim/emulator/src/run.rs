@@ -27,8 +27,11 @@ use std::collections::hash_map::DefaultHasher;
 
 use app::fault::Task;
 use app::rotor::Side;
+use app::settings::{Group, Store};
 use drivers::motor::{Duty, ThreePhase as _};
-use hal_sim::align::Angles;
+use embassy_futures::block_on;
+use hal_sim::align::{self, Angles, Method};
+use hal_sim::device::flash::Flash;
 use hal_sim::device::{Adis16495, EncoderFaults, ImuFaults, Mt6835, SensorModel as _};
 use hal_sim::inspect::wording::{Told, Wording};
 use hal_sim::plant::{Plant, PlantFaults};
@@ -102,14 +105,15 @@ pub struct Setup {
     pub power_cuts: Vec<PowerCut>,
     /// Lines typed on the serial port.
     pub typed: Vec<Typed>,
-    /// What is in the settings' sectors, [`board::SETTINGS`], at the beginning; erased where nothing is said.
+    /// What is in the settings' sectors, [`board::SETTINGS`], at the beginning; where nothing is said, what
+    /// [`hal_sim::unit_sim`]'s unit is told of the scenario: place, rotor and IMU.
     pub flash: Option<Vec<u8>>,
     /// What drives the bridge's timer.
     pub timer: BridgeTimer,
 }
 
 impl Setup {
-    /// A run without power cuts, lines typed, or anything stored.
+    /// A run without power cuts or lines typed, by a unit that was set up for the scenario.
     pub fn new(scenario: Scenario, seed: u64, seconds: f64) -> Self {
         Self {
             scenario,
@@ -151,9 +155,24 @@ pub fn run<O: Observer>(image: &Image, setup: &Setup, observer: O) -> Result<(Ou
     world.populate(&mut board);
     let session = Session::new(Box::new(board), 0, VirtualNanos(STEP_NS))?;
     let mut images = vec![image.file.clone(), stack.paint()?];
-    images.extend(setup.flash.as_deref().map(stored).transpose()?);
+    images.push(match &setup.flash {
+        Some(flash) => stored(flash)?,
+        None => stored(&told(&setup.scenario))?,
+    });
     let finished = emulator::run(session, &Start::new(&images), world)?;
     Ok(finished.driver.outcome(finished.session, image, setup))
+}
+
+/// The settings' sectors of a unit that has been set up for the scenario.
+fn told(scenario: &Scenario) -> Vec<u8> {
+    let settings = align::Setup::of(scenario, Method::Robust).settings();
+    let flash = Flash::new(0);
+    let mut store = Store::new(flash.clone());
+    for group in [Group::Installation, Group::Motion, Group::Noise] {
+        // A scenario beyond the ranges leaves the image its own.
+        let _ = block_on(store.save(&settings, group));
+    }
+    flash.bytes()
 }
 
 /// What was stored before the run, as an image beside the firmware's.

@@ -303,6 +303,8 @@ fn events() -> Vec<(Kind, Event, Vec<String>)> {
         gravity: a,
         rate: a,
         rate_sd: a,
+        noise: a,
+        noise_told: a,
     };
     let identity = Identity {
         product: A,
@@ -315,6 +317,7 @@ fn events() -> Vec<(Kind, Event, Vec<String>)> {
         (Kind::Note, Event::Imu(identity), none()),
         (Kind::Note, Event::Encoder, none()),
         (Kind::Note, Event::Inspected(found), none()),
+        (Kind::Note, Event::Noisy(found), none()),
         (Kind::Note, Event::Calibrated { offset: a * DEG as f32 }, none()),
         (Kind::Note, Event::Homed { angle: a * DEG as f32 }, none()),
         (
@@ -345,6 +348,7 @@ fn events() -> Vec<(Kind, Event, Vec<String>)> {
         (Kind::Fault, Event::Fault(fault), texts(&[&fault.name(), &fault])),
         (Kind::Retry, Event::Retry { attempt: 203 }, texts(&[&203])),
         (Kind::Latched, Event::Latched, none()),
+        (Kind::Note, Event::Slipped { late: a * 1e-3 }, none()),
         (Kind::Lost, Event::Lost { samples: A, tally }, texts(&[&A, &B])),
         (Kind::Repeated, Event::Repeated { tally }, texts(&[&C])),
         (Kind::Transfer, Event::Transfer(error), texts(&[&error])),
@@ -508,9 +512,13 @@ mod tests {
     fn expected(event: &Event) -> Told {
         match *event {
             Event::Mode { to, .. } => Told::Mode(to),
-            Event::Imu(_) | Event::Encoder | Event::Inspected(_) | Event::Calibrated { .. } | Event::Homed { .. } => {
-                Told::Note
-            }
+            Event::Imu(_)
+            | Event::Encoder
+            | Event::Inspected(_)
+            | Event::Noisy(_)
+            | Event::Calibrated { .. }
+            | Event::Homed { .. }
+            | Event::Slipped { .. } => Told::Note,
             Event::Alignment(told) => match told {
                 Alignment::CoarseDone { heading_deg, sd_deg } => Told::Coarse {
                     heading_deg: heading_deg.into(),
@@ -620,6 +628,15 @@ mod tests {
                 gravity: x,
                 rate: y,
                 rate_sd: x,
+                noise: y,
+                noise_told: x,
+            }),
+            Event::Noisy(Found {
+                gravity: x,
+                rate: y,
+                rate_sd: x,
+                noise: y,
+                noise_told: x,
             }),
             Event::Calibrated { offset: x },
             Event::Homed { angle: y },
@@ -641,6 +658,7 @@ mod tests {
             of(Alignment::UnderWay { speed: x }),
             Event::Retry { attempt: n as u8 },
             Event::Latched,
+            Event::Slipped { late: x },
             Event::Lost { samples: n, tally },
             Event::Repeated { tally },
             Event::Transfer(Error::Header { found: n }),

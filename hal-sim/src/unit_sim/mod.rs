@@ -41,7 +41,6 @@ use app::output::{self, Port};
 use app::report;
 use app::rotor::{self, HomeSwitch, Homing, Rotor};
 use app::sampling::{self, SamplingConfig};
-use app::selftest::InspectionConfig;
 use app::settings::{self, HARMONICS, OutputConfig, Settings, Store};
 use app::shared::{Navigation, Shared};
 use app::supervisor::{self, SupervisorConfig};
@@ -51,8 +50,8 @@ use drivers::motor::MotorDriver;
 use drivers::mt6835;
 use embassy_futures::select::{Either, Either3, select, select3};
 use embassy_time::{Delay, Duration};
-use frames::units::DEG_PER_HOUR;
 use nav::aligner::{Aligner, AlignerConfig, AlignerError};
+use nav::fine::FilterConfig;
 use nav::increment::Sample;
 use nav::mechanization::Radii;
 use nav::model::{PAPER, ROBUST};
@@ -371,8 +370,7 @@ struct Bench<const B: usize> {
     lost: Rc<Cell<LostEdges>>,
     timer: RefCell<Option<PwmSink>>,
     rotor: rotor::Config,
-    aligner: AlignerConfig<f32, B>,
-    alignment: AlignmentConfig,
+    filter: FilterConfig<f32, B>,
     sampling: SamplingConfig,
     tasks: Rc<RefCell<Vec<TaskId>>>,
     shared: Rc<RefCell<Rc<Bus>>>,
@@ -502,18 +500,14 @@ fn bench<const B: usize>(
     seed: u64,
     method: Method,
     typed: &[Typed],
-    truth: &Truth,
 ) -> Result<Bench<B>, UnitError> {
     let made = Made::new(scenario, seed);
     let (plant, edge) = (&made.plant, made.plant.home_edge);
-    let schedule = Setup::of(scenario, method).rotor;
+    let setup = Setup::of(scenario, method);
+    let told = setup.settings();
     let rotor = rotor::Config {
         encoder_zero: plant.encoder_zero as f32,
-        schedule: nav::rotor::RotorConfig {
-            rate: schedule.rate as f32,
-            travel: schedule.travel as f32,
-            acceleration: schedule.acceleration as f32,
-        },
+        schedule: told.motion,
         homing: Homing::HomeSwitch(HomeSwitch {
             edge: edge as f32,
             ..HomeSwitch::default()
@@ -543,31 +537,18 @@ fn bench<const B: usize>(
     encoder.before(move |model: &mut device::Mt6835, ns| {
         model.set_angle(physics.at(ns, |physics| physics.plant.shaft_angle()));
     });
-    let setup = Setup::of(scenario, method);
     let aligner = setup.config::<f32, B>();
     Aligner::<f32, B>::new(aligner).map_err(UnitError::Aligner)?;
     let factory = Settings {
-        installation: settings::Installation {
-            position: settings::Position {
-                latitude: aligner.latitude,
-                longitude: 0.0,
-                height: aligner.height,
-                source: settings::Source::Operator,
-            },
-            ..settings::Installation::default()
-        },
-        motion: rotor.schedule,
         encoder: settings::Encoder {
             zero: rotor.encoder_zero,
             electrical_offset: None,
             correction: Harmonics::new(rows).unwrap_or_default(),
         },
-        ..Settings::default()
+        ..told
     };
     let mut typed = typed.to_vec();
     typed.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-    // Earth's rate and 5σ of the biases of three gyros.
-    let rest_rate = (15.04 + 5.0 * 3.0_f64.sqrt() * setup.unit.gyro_bias_sd_deg_h) * DEG_PER_HOUR;
     Ok(Bench {
         world,
         imu,
@@ -576,16 +557,7 @@ fn bench<const B: usize>(
         lost: Rc::default(),
         timer: RefCell::new(Some(timer)),
         rotor,
-        aligner,
-        alignment: AlignmentConfig::for_aligner(
-            &aligner,
-            &rotor.schedule,
-            InspectionConfig {
-                gravity: truth.gravity() as f32,
-                rest_rate_max: rest_rate as f32,
-                ..InspectionConfig::default()
-            },
-        ),
+        filter: aligner.filter,
         sampling: SamplingConfig {
             edge_delay_us: scenario.buses.edge_delay_us.round() as u32,
             ..SamplingConfig::default()
@@ -762,8 +734,10 @@ fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>, cause
     });
     motor.set_cost(Duration::from_micros(40));
 
-    let mut aligner = Box::new(Aligner::<f32, B>::new(bench.aligner).map_err(UnitError::Aligner)?);
-    let (config, s) = (bench.alignment, Rc::clone(&shared));
+    let aligner = settings.aligner(bench.filter);
+    let config = AlignmentConfig::for_aligner(&aligner, &settings.motion);
+    let mut aligner = Box::new(Aligner::<f32, B>::new(aligner).map_err(UnitError::Aligner)?);
+    let s = Rc::clone(&shared);
     let alignment = executor.spawn("alignment", Level::Thread, async move {
         alignment::run(&s, &mut *aligner, config).await
     });

@@ -109,10 +109,10 @@ impl<const B: usize> Session<B> {
     /// If the thread runs another one.
     pub fn new(scenario: &Scenario, seed: u64, method: Method, typed: &[Typed]) -> Result<Self, UnitError> {
         let truth = Rc::new(Truth::new(scenario, seed)?);
-        let bench = Rc::new(bench::<B>(scenario, seed, method, typed, &truth)?);
+        let bench = Rc::new(bench::<B>(scenario, seed, method, typed)?);
         let lines = Rc::clone(&bench.record);
         let recording = Recording::to(Box::new(move |line| lines.borrow_mut().lines.push(line)));
-        let core = Rc::new(RefCell::new(Core::new(bench.aligner)?));
+        let core = Rc::new(RefCell::new(Core::new(bench.factory.aligner(bench.filter))?));
         let mut executor = Executor::new();
         spawn_world(&mut executor, &bench, &truth, &core, scenario, seed);
         boot(&mut executor, &bench, ResetCause::PowerOn)?;

@@ -66,11 +66,7 @@ pub struct AlignmentConfig {
 impl AlignmentConfig {
     /// What goes with an aligner and its rotor: calibration by 60 s at rest and by at least as long turning, forth and back
     /// as far (\[Du16\] §3.2); navigation with the height held.
-    pub fn for_aligner<const B: usize>(
-        aligner: &AlignerConfig<f32, B>,
-        rotor: &RotorConfig,
-        inspection: InspectionConfig,
-    ) -> Self {
+    pub fn for_aligner<const B: usize>(aligner: &AlignerConfig<f32, B>, rotor: &RotorConfig) -> Self {
         let noise = &aligner.filter.noise;
         let calibration = CalibrationConfig::default();
         let pair = 2.0 * rotor.travel;
@@ -82,7 +78,7 @@ impl AlignmentConfig {
         let pairs = f32::from((calibration.rest * rotor.rate / pair) as u8) + 1.0;
         Self {
             publish_every: 10,
-            inspection,
+            inspection: InspectionConfig::for_imu(noise),
             calibration: CalibrationConfig {
                 angle_random_walk: noise.angle_random_walk,
                 instability: noise.gyro_instability_sd,

@@ -1,6 +1,6 @@
 //! Numbers in texts.
 
-use frames::units::{DEG, DEG_PER_HOUR};
+use frames::units::{DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR};
 
 /// A number with so many digits behind the point, for people: defmt has no such format, and formatting an `f32` on the
 /// target takes 14 kB of flash.
@@ -32,6 +32,11 @@ pub(crate) fn deg(angle: f32, decimals: u8) -> Figure {
 /// °/h of a rate in rad/s.
 pub(crate) fn deg_h(rate: f32) -> Figure {
     figure(rate / DEG_PER_HOUR as f32, 1)
+}
+
+/// °/√h of a random walk in rad/√s.
+pub(crate) fn deg_sqrt_h(walk: f32) -> Figure {
+    figure(walk / DEG_PER_SQRT_HOUR as f32, 3)
 }
 
 /// Whole seconds of a time in µs: 136 years' worth.

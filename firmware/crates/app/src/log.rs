@@ -13,7 +13,7 @@ use nav::navigator::NavigatorError;
 use crate::blackbox::Start;
 use crate::command::{Command, ModeName};
 use crate::fault::Fault;
-use crate::figure::{deg, figure};
+use crate::figure::{deg, deg_sqrt_h, figure};
 use crate::selftest::Found;
 use crate::settings;
 
@@ -70,6 +70,8 @@ pub enum Event {
     Encoder,
     /// The first samples are what they should be.
     Inspected(Found),
+    /// The gyros' noise is far above what the settings say.
+    Noisy(Found),
     /// The motor is calibrated: the electrical angle at reading zero, rad.
     Calibrated {
         /// For the settings.
@@ -99,6 +101,11 @@ pub enum Event {
     },
     /// The fault stays until it is reset.
     Latched,
+    /// A sample came late, though none is missing by the count.
+    Slipped {
+        /// By how much, s.
+        late: f32,
+    },
     /// Samples are missing.
     Lost {
         /// How many in this gap.
@@ -394,10 +401,16 @@ wording!(Event, |self, say| {
         ),
         Self::Encoder => say!("encoder answers"),
         Self::Inspected(found) => say!(
-            "at start: force {} m/s2, rate {} deg/s, sd {} deg/s",
+            "at start: force {} m/s2, rate {} deg/s, sd {} deg/s, gyro noise {} deg/sqrt(h)",
             figure(found.gravity, 4),
             deg(found.rate, 4),
-            deg(found.rate_sd, 4)
+            deg(found.rate_sd, 4),
+            deg_sqrt_h(found.noise)
+        ),
+        Self::Noisy(found) => say!(
+            "gyro noise {} deg/sqrt(h), the settings say {}: heading is worse than its sd, set gyro-arw",
+            deg_sqrt_h(found.noise),
+            deg_sqrt_h(found.noise_told)
         ),
         Self::Calibrated { offset } => say!("motor calibrated: electrical offset {} deg", deg(*offset, 2)),
         Self::Homed { angle } => say!("homed: rotor at {} deg", deg(*angle, 2)),
@@ -432,6 +445,7 @@ wording!(Event, |self, say| {
         Self::Fault(fault) => say!("fault {}: {}", fault.name(), fault),
         Self::Retry { attempt } => say!("starting again, attempt {}", attempt),
         Self::Latched => say!("fault latched: reset it by command"),
+        Self::Slipped { late } => say!("a sample came {} ms late", figure(late * 1e3, 2)),
         Self::Lost { samples, tally } => say!("{} samples lost, {} in all", samples, tally.lost),
         Self::Repeated { tally } => say!("sample repeated, {} in all", tally.repeated),
         Self::Transfer(error) => say!("sample lost: {}", error),
@@ -478,6 +492,8 @@ impl Event {
             | Self::NavigationEnded(_)
             | Self::Overrun { .. }
             | Self::Refused { .. }
+            | Self::Noisy(_)
+            | Self::Slipped { .. }
             | Self::Transfer(_) => Level::Warn,
             Self::Repeated { .. } | Self::Alignment(Alignment::Bridged { .. }) => Level::Debug,
             // Where nothing happens nobody wants to read it.

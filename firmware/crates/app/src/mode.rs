@@ -342,6 +342,9 @@ impl State {
             }
             (Mode::SelfTest(test), Input::Inspected(Ok(found))) => {
                 act(a, Action::Tell(Event::Inspected(found)));
+                if found.is_noisy() {
+                    act(a, Action::Tell(Event::Noisy(found)));
+                }
                 tested(
                     SelfTest {
                         inspected: true,
@@ -614,6 +617,8 @@ mod tests {
         gravity: 9.8,
         rate: 0.0,
         rate_sd: 0.0,
+        noise: 1e-5,
+        noise_told: 1e-5,
     };
 
     const GYROS: GyrosCalibrated = GyrosCalibrated {

@@ -517,13 +517,11 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         match &mut self.stage {
             Stage::Settling { .. } => return Ok(None),
             _ if length > self.config.longest_gap => return refused,
-            Stage::Coarse { .. } => {
-                // A missing sample or two is smoothed over; more would bend the attitude that all rests on.
-                if length > before.dt * T::lit(3.0) {
-                    return refused;
-                }
-            }
-            Stage::Fine { filter, .. } => {
+            Stage::Fine {
+                filter,
+                replay: Replay::Live,
+                ..
+            } => {
                 let missed = |rate: fn(&Sample<T>) -> Vec3<Sensor, T>| {
                     bridging_error(
                         self.before_last.as_ref().map(rate),
@@ -535,6 +533,10 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                 };
                 filter.doubt(missed(|s| s.dtheta_s / s.dt), missed(|s| s.dv_s / s.dt));
             }
+            // A missing sample or two is smoothed over. More would bend the attitude that all rests on, and what is queued
+            // for a replay carries no doubt.
+            _ if length > before.dt * T::lit(3.0) => return refused,
+            _ => {}
         }
         let bridge = before.bridge(sample, length);
         let increment = self.compensator.increment(&bridge);
@@ -960,6 +962,7 @@ impl Aligner {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rotor::Schedule;
 
     #[test]
     fn a_refused_measurement_does_not_look_like_a_good_one() {
@@ -990,6 +993,37 @@ mod tests {
         assert!((corner - 0.06 * 0.02 / 8.0).abs() < 1e-15, "{corner}");
         // With no past, half of the change.
         assert!((bridging_error(None, rate(0.0), rate(0.1), 0.01, 0.02) - 0.001).abs() < 1e-15);
+    }
+
+    /// A long gap while the filter goes over its queue: it would be taken for none there. Short ones are bridged.
+    #[test]
+    fn what_waits_for_the_replay_has_no_long_gaps() {
+        let (dt, earth) = (0.01, Earth::new(0.7, 0.0).unwrap());
+        let c_nb = Rot::<Nav, Body, f64>::from_yaw_pitch_roll(0.4, 0.01, -0.02);
+        let schedule = Schedule::new(RotorConfig::default()).unwrap();
+        let config = AlignerConfig::for_rotor(0.7, 0.0, &RotorConfig::default(), FilterConfig::default());
+        for (gap, bridged) in [(0.03, true), (0.04, false)] {
+            let mut aligner = Aligner::<f64>::new(config).unwrap();
+            let mut t = 0.0;
+            let mut step = |aligner: &mut Aligner<f64>, gap| {
+                t += gap + dt;
+                let (from, to) = (schedule.at(t - dt).angle, schedule.at(t).angle);
+                let c_sn = (c_nb * Rot::about_z(0.5 * (from + to))).inverse();
+                let sample = Sample {
+                    dtheta_s: Vec3::new(0.0, 0.0, to - from) + c_sn * earth.w_ie_n() * dt,
+                    dv_s: c_sn * earth.g_n() * -dt,
+                    dt,
+                    gap,
+                };
+                aligner.step(&sample, to)
+            };
+            while aligner.mode() != Mode::CatchingUp {
+                step(&mut aligner, 0.0);
+            }
+            let event = step(&mut aligner, gap);
+            let restarted = matches!(event, Some(Event::Restarted(Restart::Gap { .. })));
+            assert_eq!(restarted, !bridged, "{gap}: {event:?}");
+        }
     }
 
     #[test]

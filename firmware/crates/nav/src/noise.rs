@@ -11,7 +11,7 @@ use frames::{Real, units};
 /// | `angle_random_walk` | rad/√s | refused: no filter works without it | 0.02 °/√h |
 /// | `velocity_random_walk` | m/s/√s | none | 10 µg/√Hz |
 /// | `gyro_instability_sd` | rad/s | biases constant | – |
-/// | `gyro_instability_tau` | s | refused, unless the sd is zero | – |
+/// | `gyro_instability_tau` | s | refused, unless the sd is zero | – (100 s) |
 /// | `gyro_scale_factor_sd` | – | scale factors known | – |
 /// | `gyro_misalignment_sd` | rad | axes known | – |
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,7 +43,7 @@ impl<T: Real> Default for ImuNoise<T> {
             angle_random_walk: T::lit(0.02 * units::DEG_PER_SQRT_HOUR),
             velocity_random_walk: T::lit(10.0 * units::MICRO_G_PER_SQRT_HZ),
             gyro_instability_sd: T::zero(),
-            gyro_instability_tau: T::zero(),
+            gyro_instability_tau: T::lit(100.0),
             gyro_scale_factor_sd: T::zero(),
             gyro_misalignment_sd: T::zero(),
         }

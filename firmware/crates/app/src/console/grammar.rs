@@ -8,7 +8,7 @@
 
 use core::fmt;
 
-use frames::units::DEG;
+use frames::units::{ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
 use heapless::Vec;
 
 use crate::command::Command;
@@ -64,8 +64,8 @@ pub struct Setting {
 
 /// Where a value is kept.
 enum Field<'a> {
-    /// In rad, typed in degrees.
-    Angle(&'a mut f32),
+    /// In SI units, typed in another one that is so many of them.
+    Scaled(&'a mut f32, f64),
     Number(&'a mut f32),
     Count(&'a mut u32),
 }
@@ -104,33 +104,54 @@ impl PartialEq for Setting {
 
 impl Setting {
     /// All that can be set here. The place is taken up by `align`, the others by `restart`, once saved.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 18] = [
         setting("latitude", "deg", Group::Installation, 5, |s| {
-            Field::Angle(&mut by_hand(s).latitude)
+            Field::Scaled(&mut by_hand(s).latitude, DEG)
         }),
         setting("longitude", "deg", Group::Installation, 5, |s| {
-            Field::Angle(&mut by_hand(s).longitude)
+            Field::Scaled(&mut by_hand(s).longitude, DEG)
         }),
         setting("height", "m", Group::Installation, 1, |s| {
             Field::Number(&mut by_hand(s).height)
         }),
         setting("mount-heading", "deg", Group::Installation, 3, |s| {
-            Field::Angle(&mut s.installation.mounting.heading)
+            Field::Scaled(&mut s.installation.mounting.heading, DEG)
         }),
         setting("mount-pitch", "deg", Group::Installation, 3, |s| {
-            Field::Angle(&mut s.installation.mounting.pitch)
+            Field::Scaled(&mut s.installation.mounting.pitch, DEG)
         }),
         setting("mount-roll", "deg", Group::Installation, 3, |s| {
-            Field::Angle(&mut s.installation.mounting.roll)
+            Field::Scaled(&mut s.installation.mounting.roll, DEG)
         }),
         setting("rotor-rate", "deg/s", Group::Motion, 2, |s| {
-            Field::Angle(&mut s.motion.rate)
+            Field::Scaled(&mut s.motion.rate, DEG)
         }),
         setting("rotor-travel", "deg", Group::Motion, 1, |s| {
-            Field::Angle(&mut s.motion.travel)
+            Field::Scaled(&mut s.motion.travel, DEG)
         }),
         setting("encoder-zero", "deg", Group::Encoder, 3, |s| {
-            Field::Angle(&mut s.encoder.zero)
+            Field::Scaled(&mut s.encoder.zero, DEG)
+        }),
+        setting("gyro-arw", "deg/sqrt(h)", Group::Noise, 3, |s| {
+            Field::Scaled(&mut s.noise.angle_random_walk, DEG_PER_SQRT_HOUR)
+        }),
+        setting("gyro-instability", "deg/h", Group::Noise, 2, |s| {
+            Field::Scaled(&mut s.noise.gyro_instability_sd, DEG_PER_HOUR)
+        }),
+        setting("gyro-bias", "deg/h", Group::Noise, 1, |s| {
+            Field::Scaled(&mut s.noise.gyro_bias_sd, DEG_PER_HOUR)
+        }),
+        setting("gyro-scale", "ppm", Group::Noise, 0, |s| {
+            Field::Scaled(&mut s.noise.gyro_scale_factor_sd, PPM)
+        }),
+        setting("gyro-misalignment", "arcmin", Group::Noise, 2, |s| {
+            Field::Scaled(&mut s.noise.gyro_misalignment_sd, ARC_MIN)
+        }),
+        setting("accel-vrw", "ug/sqrt(Hz)", Group::Noise, 1, |s| {
+            Field::Scaled(&mut s.noise.velocity_random_walk, MICRO_G_PER_SQRT_HZ)
+        }),
+        setting("accel-bias", "ug", Group::Noise, 1, |s| {
+            Field::Scaled(&mut s.noise.accel_bias_sd, MICRO_G)
         }),
         setting("period", "ms", Group::Output, 0, |s| {
             Field::Count(&mut s.output.period_ms)
@@ -144,7 +165,7 @@ impl Setting {
     pub fn get(&self, settings: &Settings) -> f32 {
         let mut copy = *settings;
         match (self.field)(&mut copy) {
-            Field::Angle(rad) => *rad / DEG as f32,
+            Field::Scaled(value, unit) => *value / unit as f32,
             Field::Number(value) => *value,
             // Below 2²⁴, see its range.
             Field::Count(count) => *count as f32,
@@ -157,7 +178,7 @@ impl Setting {
     /// [`Invalid`], where it is out of range.
     pub fn put(&self, mut settings: Settings, value: f32) -> Result<Settings, Invalid> {
         match (self.field)(&mut settings) {
-            Field::Angle(rad) => *rad = value * DEG as f32,
+            Field::Scaled(number, unit) => *number = value * unit as f32,
             Field::Number(number) => *number = value,
             #[expect(
                 clippy::cast_possible_truncation,
@@ -177,14 +198,14 @@ impl Setting {
         line.words(self.name);
         if let Invalid::OutOfRange { low, high, .. } = invalid {
             let mut any = Settings::default();
-            let scale = match (self.field)(&mut any) {
-                Field::Angle(_) => DEG as f32,
+            let unit = match (self.field)(&mut any) {
+                Field::Scaled(_, unit) => unit as f32,
                 _ => 1.0,
             };
-            line.words(" from ");
-            line.decimal(low / scale, 1);
-            line.words(" to ");
-            line.decimal(high / scale, 1);
+            for (word, limit) in [(" from ", low / unit), (" to ", high / unit)] {
+                line.words(word);
+                line.decimal(limit, if limit.abs() < 0.1 { self.decimals } else { 1 });
+            }
         }
         line.words(" ");
         line.words(self.unit);
@@ -327,7 +348,7 @@ impl fmt::Display for LineError {
 impl core::error::Error for LineError {}
 
 /// One copy of them: a constant would be one wherever it is used.
-pub(super) static SETTINGS: [Setting; 11] = Setting::ALL;
+pub(super) static SETTINGS: [Setting; 18] = Setting::ALL;
 
 /// What a line without its end asks for; `None` where it is empty or a remark.
 ///

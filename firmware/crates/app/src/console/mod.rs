@@ -214,6 +214,7 @@ async fn save<F: NorFlash>(store: &mut Store<F>, settings: &Settings) -> Result<
         Group::Identity,
         Group::Imu,
         Group::Encoder,
+        Group::Noise,
     ] {
         store.save(settings, group).await?;
     }

@@ -20,9 +20,12 @@ mod store;
 use core::f32::consts::{FRAC_PI_2, PI, TAU};
 
 use drivers::harmonics::{Harmonic, Harmonics};
-use frames::units::DEG;
+use frames::units::{DEG, DEG_PER_SQRT_HOUR};
 use frames::{Attitude, Body, Nav, Rot, Sensor, Vec3, wording};
+use nav::aligner::AlignerConfig;
 use nav::calibration::{Calibration, MAX_SCATTER};
+use nav::fine::FilterConfig;
+use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 
 use crate::rotor::{self, MotorConfig};
@@ -39,6 +42,9 @@ pub const NAME: usize = 16;
 pub const HARMONICS: usize = 8;
 /// Greatest bias of a gyro, rad/s: 5.7 °/s, beyond the worst part meant.
 const BIAS: f32 = 0.1;
+/// Angle random walks of gyros that find north at all, rad/√s: 0.001 to 10 °/√h.
+const ARW_LEAST: f32 = (0.001 * DEG_PER_SQRT_HOUR) as f32;
+const ARW_MOST: f32 = (10.0 * DEG_PER_SQRT_HOUR) as f32;
 /// Greatest misalignment, rad, and scale factor error.
 const COLUMN: f32 = 0.05;
 
@@ -65,10 +71,12 @@ pub enum Group {
     Thermal,
     /// The encoder.
     Encoder,
+    /// The IMU's noise.
+    Noise,
 }
 
 /// Number of groups.
-pub const GROUPS: usize = 8;
+pub const GROUPS: usize = 9;
 
 impl Group {
     /// All there are, in the order of [`Report::origins`].
@@ -81,6 +89,7 @@ impl Group {
         Self::Imu,
         Self::Thermal,
         Self::Encoder,
+        Self::Noise,
     ];
 
     /// For people.
@@ -94,6 +103,7 @@ impl Group {
             Self::Imu => "imu",
             Self::Thermal => "thermal",
             Self::Encoder => "encoder",
+            Self::Noise => "noise",
         }
     }
 
@@ -317,6 +327,8 @@ pub struct Settings {
     pub thermal: Thermal,
     /// [`Group::Encoder`].
     pub encoder: Encoder,
+    /// [`Group::Noise`]: what aligner and navigator take the IMU for.
+    pub noise: ImuNoise,
 }
 
 impl Default for Settings {
@@ -332,6 +344,7 @@ impl Default for Settings {
             imu: Imu::default(),
             thermal: Thermal::default(),
             encoder: Encoder::default(),
+            noise: ImuNoise::default(),
         }
     }
 }
@@ -359,6 +372,16 @@ impl Settings {
             },
             ..built
         }
+    }
+
+    /// The figures of an aligner whose filter is made as `filter`, with what the settings say of place, rotor and IMU.
+    pub fn aligner<const B: usize>(&self, filter: FilterConfig<f32, B>) -> AlignerConfig<f32, B> {
+        let Position { latitude, height, .. } = self.position();
+        let filter = FilterConfig {
+            noise: self.noise,
+            ..filter
+        };
+        AlignerConfig::for_rotor(latitude, height, &self.motion, filter)
     }
 
     /// Whether every value of a group can be.
@@ -447,6 +470,7 @@ impl Settings {
                 }
             }
             Group::Encoder => self.encoder.fields(c),
+            Group::Noise => noise(&mut self.noise, c),
         }
     }
 }
@@ -463,6 +487,28 @@ fn position(position: &mut Position, c: &mut Codec<'_>) {
         2 => Source::Gnss,
         _ => Source::Default,
     };
+}
+
+fn noise(noise: &mut ImuNoise, c: &mut Codec<'_>) {
+    let ImuNoise {
+        gyro_bias_sd,
+        accel_bias_sd,
+        angle_random_walk,
+        velocity_random_walk,
+        gyro_instability_sd,
+        gyro_instability_tau,
+        gyro_scale_factor_sd,
+        gyro_misalignment_sd,
+    } = noise;
+    c.number("gyro bias sd", gyro_bias_sd, 0.0, BIAS);
+    c.number("accelerometer bias sd", accel_bias_sd, 0.0, 1.0);
+    c.number("angle random walk", angle_random_walk, ARW_LEAST, ARW_MOST);
+    c.number("velocity random walk", velocity_random_walk, 0.0, 0.1);
+    c.number("gyro instability", gyro_instability_sd, 0.0, BIAS);
+    // Without an instability it says nothing; where there is one, the filter needs it.
+    c.number("gyro instability time", gyro_instability_tau, 0.1, 1e6);
+    c.number("gyro scale factor sd", gyro_scale_factor_sd, 0.0, COLUMN);
+    c.number("gyro misalignment sd", gyro_misalignment_sd, 0.0, COLUMN);
 }
 
 impl Imu {

@@ -71,6 +71,16 @@ fn unusual() -> Settings {
             }))
             .unwrap(),
         },
+        noise: ImuNoise {
+            gyro_bias_sd: 1e-4,
+            accel_bias_sd: 2e-2,
+            angle_random_walk: 3e-5,
+            velocity_random_walk: 4e-4,
+            gyro_instability_sd: 5e-6,
+            gyro_instability_tau: 60.0,
+            gyro_scale_factor_sd: 7e-4,
+            gyro_misalignment_sd: 8e-4,
+        },
     };
     settings.thermal.used = 3;
     for (i, row) in settings.thermal.rows.iter_mut().take(3).enumerate() {
@@ -118,10 +128,11 @@ fn keys_are_for_ever() {
             ("output", 4),
             ("imu", 5),
             ("thermal", 6),
-            ("encoder", 7)
+            ("encoder", 7),
+            ("noise", 8)
         ]
     );
-    assert!(usize::from(Group::Encoder.key()) < log::KEYS);
+    assert!(usize::from(Group::Noise.key()) < log::KEYS);
 }
 
 #[test]
@@ -163,7 +174,7 @@ fn every_corner_of_the_motion_has_room() {
 #[test]
 fn what_cannot_be_is_refused_with_its_range() {
     type Change = fn(&mut Settings);
-    let cases: [(Group, Change, &str); 15] = [
+    let cases: [(Group, Change, &str); 17] = [
         (
             Group::Identity,
             |s| s.identity.serial = 1 << 24,
@@ -245,6 +256,16 @@ fn what_cannot_be_is_refused_with_its_range() {
                 s.encoder.correction = Harmonics::new(rows).unwrap();
             },
             "harmonic amplitude must be between -0.1 and 0.1",
+        ),
+        (
+            Group::Noise,
+            |s| s.noise.gyro_bias_sd = -0.1,
+            "gyro bias sd must be between 0 and 0.1",
+        ),
+        (
+            Group::Noise,
+            |s| s.noise.angle_random_walk = 0.0,
+            "angle random walk must be between 0.0000002908882 and 0.002908882",
         ),
     ];
     for (group, change, text) in cases {
