@@ -37,20 +37,24 @@ const MOTOR: MotorConfig = MotorConfig {
     electrical_offset: None,
 };
 
-/// The gyros of an ADIS16495-1 by its data sheet, rev. C: 0.09 °/√h, and 0.8 °/h at the best of the Allan deviation.
+/// The gyros of an ADIS16495-1 by its data sheet, rev. C: 0.09 °/√h, and 0.8 °/h at the best of the Allan deviation. As
+/// bought it has a bias of some 0.07 °/s.
 #[cfg(not(feature = "icm42688"))]
 fn gyros() -> ImuNoise {
     ImuNoise {
         angle_random_walk: (0.09 * DEG_PER_SQRT_HOUR) as f32,
+        gyro_bias_sd: (250.0 * DEG_PER_HOUR) as f32,
         gyro_instability_sd: (1.6 * 0.8 * DEG_PER_HOUR) as f32,
         ..ImuNoise::default()
     }
 }
 
-/// The gyros of an ICM-42688-P by its data sheet: 2.8 m°/s/√Hz.
+/// The gyros of an ICM-42688-P by its data sheet: 2.8 m°/s/√Hz, and a bias of 0.5 °/s, which is to be taken off before it
+/// finds north.
 #[cfg(feature = "icm42688")]
 fn gyros() -> ImuNoise {
     ImuNoise {
+        gyro_bias_sd: (0.5 * DEG) as f32,
         angle_random_walk: (0.168 * DEG_PER_SQRT_HOUR) as f32,
         ..ImuNoise::default()
     }
