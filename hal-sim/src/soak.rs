@@ -971,6 +971,15 @@ impl Soak {
             && now_us > self.disturbed_us + 1_000_000
             && within_us.is_some_and(|within_us| length_us > within_us + 10_000);
         self.disturbed();
+        // Which of two is found first is chance.
+        let mut overtaken = Vec::new();
+        for broken in self.broken.iter_mut().filter(|broken| broken.due && !broken.found) {
+            broken.due = false;
+            overtaken.push(broken.kind);
+        }
+        for kind in overtaken {
+            self.kind(kind).due -= 1;
+        }
         let report = self.kind(kind);
         report.injected += 1;
         report.due += u32::from(due);

@@ -182,7 +182,8 @@ impl Fault {
     /// | restarted, flags | 10 ms | the next sample | IMU reset, 3 tries |
     /// | over-temperature | 55 ms | 10 in a row | every 10 s, 30 tries |
     /// | clock | 700 ms | a window of 64 samples begun anew and filled | latched: heading would be wrong unseen |
-    /// | encoder | 30 ms | 3 bad readings of 1 ms, 20 equal ones | 3 tries, homing anew |
+    /// | encoder | 30 ms | 3 bad readings of 1 ms | 3 tries, homing anew |
+    /// | encoder frozen | 80 ms | 20 equal readings, not counting the 50 ms of a turning point | 3 tries, homing anew |
     /// | encoder warning | 30 ms | 20 in a row | 3 tries |
     /// | driver | 2 ms | every tick | 3 tries: heat goes away, a short does not |
     /// | stall | 300 ms | 50 ms at the voltage limit, or 2° behind at 20 °/s and the time to get there | 1 try |
@@ -201,7 +202,8 @@ impl Fault {
             Self::ImuRestarted | Self::ImuFlags { .. } => retry(10, 500, 3),
             Self::OverTemperature { .. } => retry(55, 10_000, 30),
             Self::Clock { .. } => latch(700),
-            Self::EncoderInvalid | Self::EncoderFrozen | Self::EncoderWarning { .. } => retry(30, 500, 3),
+            Self::EncoderInvalid | Self::EncoderWarning { .. } => retry(30, 500, 3),
+            Self::EncoderFrozen => retry(80, 500, 3),
             Self::Driver => retry(2, 1000, 3),
             Self::Stall { .. } => retry(300, 2000, 1),
             Self::Rotor(RotorFault::HomeMismatch { .. }) => latch(20_000),
