@@ -657,6 +657,9 @@ impl Soak {
         self.was = None;
         self.starting = None;
         self.quiet_us = self.quiet_us.max(now_us + 100_000);
+        if cause != ResetCause::Watchdog || self.session.asked() {
+            self.overtake();
+        }
         // Of the unit's own clock nothing is left, of the simulator's all: modes and faults keep its time.
         match cause {
             ResetCause::Watchdog => {
@@ -734,6 +737,18 @@ impl Soak {
                     self.fail(format!("{:?} was found after {took_ms} ms", broken.kind));
                 }
             }
+        }
+    }
+
+    /// Something else happens: what has not been found by now need not be found first, nor in time.
+    fn overtake(&mut self) {
+        let mut overtaken = Vec::new();
+        for broken in self.broken.iter_mut().filter(|broken| broken.due && !broken.found) {
+            broken.due = false;
+            overtaken.push(broken.kind);
+        }
+        for kind in overtaken {
+            self.kind(kind).due -= 1;
         }
     }
 
@@ -909,6 +924,7 @@ impl Soak {
                 let (imu, count) = (self.chance(0.5), self.rng.random_range(1..9_u32));
                 self.disturbed();
                 self.report.failed_transfers += 1;
+                self.overtake();
                 let (imu, encoder) = if imu { (count, 0) } else { (0, count) };
                 self.session.fail_transfers(imu, encoder);
             }
@@ -971,15 +987,7 @@ impl Soak {
             && now_us > self.disturbed_us + 1_000_000
             && within_us.is_some_and(|within_us| length_us > within_us + 10_000);
         self.disturbed();
-        // Which of two is found first is chance.
-        let mut overtaken = Vec::new();
-        for broken in self.broken.iter_mut().filter(|broken| broken.due && !broken.found) {
-            broken.due = false;
-            overtaken.push(broken.kind);
-        }
-        for kind in overtaken {
-            self.kind(kind).due -= 1;
-        }
+        self.overtake();
         let report = self.kind(kind);
         report.injected += 1;
         report.due += u32::from(due);

@@ -146,6 +146,34 @@ fn a_sample_that_slips_is_a_gap() {
     }
 }
 
+/// Too short for a fault, and wrong all the same: 3 samples of the z gyro at the end of its range are 5° of heading, 4 that
+/// repeat one datum of a swing some hundredths of a degree of tilt.
+#[test]
+fn what_is_clipped_or_repeated_is_a_gap() {
+    let scenario = paper();
+    let heading = |seed, glitch: Option<(FaultKind, u64)>| {
+        let mut session = RobustSession::new(&scenario, seed, Method::Robust, &[]).unwrap();
+        if let Some((kind, length_us)) = glitch {
+            session.run_until_us(90_001_000, &mut ()).unwrap();
+            session.set_fault(kind, true);
+            session.run_until_us(90_001_000 + length_us, &mut ()).unwrap();
+            session.set_fault(kind, false);
+        }
+        session.run_until_us(150_000_000, &mut ()).unwrap();
+        assert!(session.take_faults().is_empty());
+        let moment = session.moment().unwrap();
+        (moment.error.heading_deg, moment.reading.sd.heading_deg)
+    };
+    for seed in 1..=3 {
+        let (without, _) = heading(seed, None);
+        for (kind, length_us) in [(FaultKind::ImuSaturated, 15_000), (FaultKind::ImuStuckData, 25_000)] {
+            let (with, sd) = heading(seed, Some((kind, length_us)));
+            println!("seed {seed}: {kind:?}: heading off by {with:.3} deg, {without:.3} without, sd {sd:.3}");
+            assert!((with - without).abs() < sd, "{kind:?}: {with} {without} {sd}");
+        }
+    }
+}
+
 /// Where the unit is some time after a fault that lasts for a second.
 fn outcome(result: &UnitResult) -> String {
     let found = &result.faults[0];

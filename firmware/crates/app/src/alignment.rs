@@ -114,27 +114,28 @@ impl Work {
     /// What takes the sample, and so with the calibration applied.
     fn takes(&self, sample: &TimedSample) -> Taken {
         match self {
-            Self::Align if sample.alpha.is_some() => Taken::Aligner,
-            Self::Navigate(_) if sample.alpha.is_some() => Taken::Navigator,
+            Self::Align if sample.is_usable() => Taken::Aligner,
+            Self::Navigate(_) if sample.is_usable() => Taken::Navigator,
             _ => Taken::No,
         }
     }
 
-    /// Whether it can do nothing with a sample whose rotor angle is unknown.
-    fn needs_angle(&self) -> bool {
+    /// Whether it can do nothing with a sample that is not usable.
+    fn is_choosy(&self) -> bool {
         !matches!(self, Self::Idle | Self::Inspect(_))
     }
 }
 
-/// Time of samples whose rotor angle is unknown, s: nothing can be done with them, and it is missing like that of lost ones.
+/// Time of samples that are not usable, s: it is missing like that of lost ones.
 #[derive(Default)]
 struct Unseen(f32);
 
 impl Unseen {
-    /// Keeps the time of a sample without an angle, and adds what was kept to the gap before one that has it.
+    /// Keeps the time of a sample that is not usable, and adds what was kept to the gap before one that is.
     fn pass(&mut self, sample: &mut TimedSample) {
+        let usable = sample.is_usable();
         let increments = &mut sample.sample;
-        if sample.alpha.is_some() {
+        if usable {
             increments.gap += core::mem::take(&mut self.0);
         } else {
             self.0 += increments.gap + increments.dt;
@@ -180,7 +181,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
             taken => taken,
         };
         let mut sample = sample;
-        if work.needs_angle() {
+        if work.is_choosy() {
             unseen.pass(&mut sample);
         }
         if taken != Taken::No {
@@ -361,6 +362,7 @@ fn work_on<M: RawMutex>(
             let event = aligner.step(increments, sample.alpha?)?;
             Some(Input::Alignment(Alignment::from(&event)))
         }
+        Work::Calibrate(_) | Work::Navigate(_) if !sample.is_usable() => None,
         Work::Calibrate(calibrating) => match calibrating.step(increments, sample.alpha?) {
             Ok(Progress::None) => None,
             Ok(Progress::Rested) => Some(Input::Rested),

@@ -18,6 +18,13 @@ pub struct TimedSample {
     pub saturated: Channels,
 }
 
+impl TimedSample {
+    /// Whether attitude can be made of it: the rotor's angle is known, and no sensor was at the end of its range.
+    pub fn is_usable(&self) -> bool {
+        self.alpha.is_some() && self.saturated == Channels::NONE
+    }
+}
+
 /// The IMU at work.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImuFacts {

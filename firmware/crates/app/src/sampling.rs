@@ -28,6 +28,8 @@ const WINDOW: u32 = 64;
 /// A sample that comes later than this share of a period is not jitter: time is missing before it. A tenth of a
 /// millisecond of a swing of 8 °/s is 0.2° of heading.
 const SLIP: f32 = 0.02;
+/// More than so many in a row is a clock that is off.
+const SLIPS: u8 = 4;
 /// Longest start of an IMU: reset 250 ms, self-test 40 ms, settings.
 const START_TIMEOUT: Duration = Duration::from_secs(3);
 
@@ -159,6 +161,11 @@ impl Monitor {
         }
     }
 
+    /// Whether the last sample had the data of the one before: noise never repeats 6 × 32 bits.
+    pub fn is_stale(&self) -> bool {
+        self.equal > 0
+    }
+
     /// Takes a failed transfer.
     pub fn failed(&mut self, error: Error) -> Option<Fault> {
         self.failed = self.failed.saturating_add(1);
@@ -287,8 +294,8 @@ struct Sampler<'a, M: RawMutex> {
     nominal_us: f32,
     /// End of the last sample that was good.
     last_us: Option<u64>,
-    /// The last sample came late.
-    was_late: bool,
+    /// Samples in a row that came late.
+    late_in_row: u8,
     /// Time that is missing before the next sample, of samples that were good and did not fit.
     owed: f32,
     raised: bool,
@@ -304,7 +311,7 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
             period: Period::new(0.0),
             nominal_us: 0.0,
             last_us: None,
-            was_late: false,
+            late_in_row: 0,
             owed: 0.0,
             raised: false,
         }
@@ -332,9 +339,9 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
         let passed_us = self.last_us.map_or(0.0, |last| t_us.saturating_sub(last) as f32);
         let late_us = passed_us - (lost + 1.0) * period_us;
         let late = late_us > SLIP * period_us;
-        let was_late = core::mem::replace(&mut self.was_late, late);
+        self.late_in_row = if late { self.late_in_row.saturating_add(1) } else { 0 };
         let counted = matches!(arrival, Arrival::Next | Arrival::Lost(_));
-        if !late || was_late && counted {
+        if !late || counted && self.late_in_row > SLIPS {
             return 0.0;
         }
         self.period.restart();
@@ -402,7 +409,7 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
         let gap = f32::from(lost) * dt + late_us * 1e-6;
         self.last_us = Some(t_us);
         let (dtheta_s, dv_s) = si.increments(dt);
-        let went = shared.forward(TimedSample {
+        let timed = TimedSample {
             t_us,
             sample: Sample {
                 dtheta_s,
@@ -413,14 +420,19 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
             alpha: shared.angle_at(t_us),
             temperature_c: si.temperature_c,
             saturated: raw.status.saturated,
-        });
+        };
+        // What repeats the one before tells nothing of its time.
+        let stale = self.monitor.is_stale();
+        let went = !stale && shared.forward(timed);
         if went {
             self.owed = 0.0;
         } else {
             self.owed += gap + dt;
-            shared.log(&Event::Overrun {
-                samples: shared.sample_counts().overruns,
-            });
+            if !stale {
+                shared.log(&Event::Overrun {
+                    samples: shared.sample_counts().overruns,
+                });
+            }
         }
     }
 }
