@@ -439,3 +439,30 @@ fn motor(counter: &mut impl Counter, tell: &mut impl FnMut(Line)) {
         tell(limited("motor: a tick, at most", most, 1500));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    /// What is counted is built as the unit is: level, link-time optimisation, and the level of each crate that is in both.
+    #[test]
+    fn the_profile_is_the_units() {
+        let release = |manifest: &str| -> Vec<String> {
+            let sections = manifest.split("\n[");
+            let ours = sections.filter(|section| {
+                let name = section.lines().next().unwrap_or_default().trim_end_matches(']');
+                [
+                    "profile.release",
+                    "profile.release.package.app",
+                    "profile.release.package.drivers",
+                ]
+                .contains(&name)
+            });
+            let lines = ours.flat_map(|section| section.lines().map(str::trim).map(str::to_owned));
+            lines
+                .filter(|line| !line.is_empty() && !line.starts_with('#'))
+                .collect()
+        };
+        let (unit, here) = (include_str!("../../../Cargo.toml"), include_str!("../Cargo.toml"));
+        assert_eq!(release(here), release(unit));
+        assert!(release(here).iter().any(|line| line == "opt-level = \"z\""));
+    }
+}
