@@ -100,3 +100,15 @@ extern "C" fn lost(frame: *const u32) -> ! {
     board::spin_ms(SAY_MS);
     board::reset()
 }
+
+/// An interrupt that nothing serves. Its number is the reference manual's, or below zero for an exception of the core.
+// SAFETY: it touches nothing that the code it interrupts relies on, and never returns to it.
+#[cortex_m_rt::exception]
+unsafe fn DefaultHandler(irqn: i16) -> ! {
+    cortex_m::interrupt::disable();
+    board::motor_off();
+    note(Cause::panic("interrupt", u32::from(irqn.unsigned_abs())));
+    defmt::error!("interrupt {=i16} without a handler", irqn);
+    board::spin_ms(SAY_MS);
+    board::reset()
+}
