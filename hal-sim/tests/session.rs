@@ -106,6 +106,36 @@ fn a_unit_that_rests_calibrates_the_column_only() {
     assert!((f64::from(found.s_z) - s_z).abs() < 30.0 * PPM);
 }
 
+/// Gyros with biases of 1800 °/h, in which alignment finds nothing: calibrated at rest Earth's rate is all that is left of
+/// them, and told so the unit finds north.
+#[test]
+fn a_cheap_part_is_calibrated_before_it_finds_north() {
+    let mut scenario = Scenario::builtin("static").unwrap();
+    scenario.imu.gyro_bias_sd_deg_h = 1800.0;
+    let typed = [
+        "20 stop",
+        "25 calibrate",
+        "170 set gyro-bias 20",
+        "171 save",
+        "172 restart",
+    ];
+    let mut square = 0.0;
+    for seed in 1..=8 {
+        let (result, answers) = session(&scenario, seed, 480.0, &typed);
+        assert!(answers.iter().all(|answer| answer.starts_with("ok,")), "{answers:?}");
+        assert_eq!(modes(&result).last(), Some(&"aligned"), "{:?}", result.modes);
+        let last = result.last.unwrap();
+        let off = last.error.heading_deg / last.reading.sd.heading_deg;
+        println!(
+            "seed {seed}: heading off by {:.3} deg, {off:.2} sd",
+            last.error.heading_deg
+        );
+        assert!(off.abs() < 4.0, "seed {seed}: {off}");
+        square += off * off / 8.0;
+    }
+    assert!((0.2..3.0).contains(&square), "{square}");
+}
+
 /// On a base that moves there is no calibration, and what was known before still holds.
 #[test]
 fn a_base_that_moves_is_no_place_to_calibrate() {

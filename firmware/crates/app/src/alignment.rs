@@ -4,7 +4,7 @@
 //! millisecond at 168 MHz; the bounded channel holds what comes in meanwhile.
 //!
 //! The calibration of the gyros is applied here, to each sample before anything else sees it, but for the calibration
-//! itself and the self-test's inspection. What goes into the [`record`](crate::record) is what was taken, after it.
+//! itself. What goes into the [`record`](crate::record) is what was taken, after it.
 
 use embassy_futures::select::{Either3, select3};
 use embassy_sync::blocking_mutex::raw::RawMutex;
@@ -12,6 +12,7 @@ use embassy_time::{Duration, Timer};
 use frames::{Body, Vec3};
 use nav::aligner::{self, Align, AlignerConfig, NotReady};
 use nav::calibration::{Calibration, CalibrationConfig, CalibrationError, Calibrator, REST_TRAVEL};
+use nav::earth::OMEGA_IE;
 use nav::increment::Sample;
 use nav::mechanization::{Position, Vertical};
 use nav::navigator::{Navigator, NavigatorConfig};
@@ -39,6 +40,8 @@ const SURE: u8 = 2;
 const INSTANT_US: u64 = 80_000;
 /// What a receiver has said holds for so long, µs.
 const SAID_US: u64 = 3_000_000;
+/// Biases that are worth taking off with Earth's rate in them, rad/s: five times that.
+const FAR_ABOVE_EARTH: f32 = (5.0 * OMEGA_IE) as f32;
 /// The rotor stands once it has not moved by more than a quarter of what a rest allows for so long, s.
 const STANDING: f32 = 1.0;
 
@@ -188,6 +191,10 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
             sample.sample = correction.of(&sample);
         }
         tap.take(shared, &sample, taken);
+        if matches!(work, Work::Inspect(_)) {
+            // Judged as it will be taken; recorded as it is.
+            sample.sample = correction.of(&sample);
+        }
         if let Some(input) = work_on(&mut work, aligner, &sample, taken, shared) {
             if !matches!(input, Input::Alignment(_) | Input::Rested) {
                 work = Work::Idle;
@@ -367,7 +374,16 @@ fn work_on<M: RawMutex>(
             Ok(Progress::None) => None,
             Ok(Progress::Rested) => Some(Input::Rested),
             Ok(Progress::Done(found)) => {
-                let biases_used = calibrating.earth_known;
+                // From rest Earth's rate is in them: far better than nothing for a cheap part, and worse for a good one.
+                let found = if calibrating.earth_known {
+                    found
+                } else {
+                    Calibration {
+                        bias_sd: OMEGA_IE as f32,
+                        ..found
+                    }
+                };
+                let biases_used = calibrating.earth_known || found.bias_s.norm() > FAR_ABOVE_EARTH;
                 let used = if biases_used { found } else { found.column_only() };
                 shared.change(|settings| {
                     settings.imu = Imu {

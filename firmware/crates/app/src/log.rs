@@ -181,9 +181,9 @@ wording!(Report, |self, say| {
 /// What the calibration of the gyros has found, in the units of people.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GyrosCalibrated {
-    /// Biases, °/h; with Earth's rate in them, and left where they are, where that was not known.
+    /// Biases, °/h; with Earth's rate in them where that was not known.
     pub bias_deg_h: [f32; 3],
-    /// Whether Earth's rate was known, so that the biases are taken off.
+    /// Whether they are taken off: where Earth's rate was known, or is a small part of them.
     pub biases_used: bool,
     /// What x and y take of a turn about z, arc minutes.
     pub misalignment_arcmin: [f32; 2],
