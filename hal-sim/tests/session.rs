@@ -106,6 +106,21 @@ fn a_unit_that_rests_calibrates_the_column_only() {
     assert!((f64::from(found.s_z) - s_z).abs() < 30.0 * PPM);
 }
 
+/// What an aligned unit has found of the biases is better than what rest tells, and stays; the column is the later one.
+#[test]
+fn biases_once_known_outlive_a_calibration_from_rest() {
+    let found = |seconds, typed: &[&str]| {
+        let (result, _) = session(&as_bought(), 4, seconds, typed);
+        assert_eq!(modes(&result).last(), Some(&"idle"), "{:?}", result.modes);
+        result.settings.imu.calibration.unwrap()
+    };
+    let aligned = found(300.0, &["160 calibrate"]);
+    let rest = found(450.0, &["160 calibrate", "300 calibrate"]);
+    assert!(aligned.bias_s.norm() > 0.0);
+    assert_eq!((rest.bias_s, rest.bias_sd), (aligned.bias_s, aligned.bias_sd));
+    assert!(rest.s_z != aligned.s_z, "{rest:?}");
+}
+
 /// Gyros with biases of 1800 °/h, in which alignment finds nothing: calibrated at rest Earth's rate is all that is left of
 /// them, and told so the unit finds north.
 #[test]

@@ -387,6 +387,61 @@ fn what_was_wrong_outlives_a_reset() {
     assert_eq!(unit.said.lines[2], "started by power on");
 }
 
+/// While the rotor rests to calibrate the gyros nothing turns, but no angle means no sample: a fault, and not five minutes of
+/// waiting.
+#[test]
+fn an_encoder_that_falls_silent_at_rest_is_found() {
+    let mut unit = Unit::new(4);
+    unit.run(16.0);
+    assert_eq!(unit.asked("stop"), ["ok,the rotor stops"]);
+    unit.run(1.0);
+    assert_eq!(
+        unit.asked("calibrate"),
+        ["ok,calibrating: keep the base still for 3 minutes"]
+    );
+    unit.run(20.0);
+    assert_eq!(unit.mode(), ("calibrating", None));
+    unit.session.set_fault(FaultKind::EncoderSilent, true);
+    unit.run(0.03);
+    assert_eq!(unit.mode(), ("fault", Some("encoder-invalid")));
+    unit.session.set_fault(FaultKind::EncoderSilent, false);
+    // It begins again, from the self-test on.
+    unit.run(20.0);
+    assert_eq!(unit.mode(), ("calibrating", None));
+}
+
+/// Whatever happens to a unit that was told to stop, its rotor stands until somebody says otherwise.
+#[test]
+fn what_was_stopped_stays_so_over_faults() {
+    let mut unit = Unit::new(5);
+    unit.run(30.0);
+    assert_eq!(unit.asked("stop"), ["ok,the rotor stops"]);
+    unit.run(2.0);
+    for kind in [FaultKind::EncoderSilent, FaultKind::ImuSilent, FaultKind::ImuStuckData] {
+        unit.session.set_fault(kind, true);
+        unit.run(0.1);
+        assert_eq!(unit.mode().0, "fault", "{kind:?}");
+        unit.session.set_fault(kind, false);
+        unit.run(5.0);
+        assert_eq!(
+            (unit.mode(), unit.session.driven()),
+            (("idle", None), false),
+            "{kind:?}"
+        );
+    }
+    // Told in the fault, it holds as well.
+    assert_eq!(unit.asked("align"), ["ok,aligning"]);
+    unit.run(20.0);
+    assert_eq!(unit.mode().0, "coarse");
+    unit.session.set_fault(FaultKind::Driver, true);
+    unit.run(0.1);
+    assert_eq!(unit.mode(), ("fault", Some("driver")));
+    assert_eq!(unit.asked("stop"), ["ok,the rotor stops"]);
+    unit.session.set_fault(FaultKind::Driver, false);
+    unit.run(20.0);
+    assert_eq!((unit.mode(), unit.session.driven()), (("idle", None), false));
+}
+
 /// A home switch that hangs is found as soon as the rotor is told to move by it, or where the edge should have been.
 #[test]
 fn a_home_switch_that_hangs_is_found_at_the_start() {

@@ -40,7 +40,7 @@ const SURE: u8 = 2;
 const INSTANT_US: u64 = 80_000;
 /// What a receiver has said holds for so long, µs.
 const SAID_US: u64 = 3_000_000;
-/// Biases that are worth taking off with Earth's rate in them, rad/s: five times that.
+/// What biases must differ by from those known, to be taken with Earth's rate in them, rad/s: five times that.
 const FAR_ABOVE_EARTH: f32 = (5.0 * OMEGA_IE) as f32;
 /// The rotor stands once it has not moved by more than a quarter of what a rest allows for so long, s.
 const STANDING: f32 = 1.0;
@@ -383,14 +383,22 @@ fn work_on<M: RawMutex>(
                         ..found
                     }
                 };
-                let biases_used = calibrating.earth_known || found.bias_s.norm() > FAR_ABOVE_EARTH;
-                let used = if biases_used { found } else { found.column_only() };
-                shared.change(|settings| {
-                    settings.imu = Imu {
-                        calibration: Some(used),
+                let before = shared.settings().imu;
+                let known = before.calibration.map_or(Vec3::zero(), |gyros| gyros.bias_s);
+                let biases_used = calibrating.earth_known || (found.bias_s - known).norm() > FAR_ABOVE_EARTH;
+                let imu = if biases_used {
+                    Imu {
+                        calibration: Some(found),
                         temperature_c: sample.temperature_c,
-                    };
-                });
+                    }
+                } else {
+                    // The temperature is that of the biases.
+                    Imu {
+                        calibration: Some(found.with_biases_of(before.calibration.as_ref())),
+                        temperature_c: before.temperature_c,
+                    }
+                };
+                shared.change(|settings| settings.imu = imu);
                 Some(Input::GyrosCalibrated(Ok(GyrosCalibrated::new(&found, biases_used))))
             }
             Err(error) => Some(Input::GyrosCalibrated(Err(CalibrationFailure::from(error)))),

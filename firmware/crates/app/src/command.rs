@@ -96,8 +96,7 @@ impl ModeName {
     pub const fn takes(self, command: Command) -> bool {
         match command {
             Command::ResetFault => matches!(self, Self::Fault),
-            Command::Restart => true,
-            Command::Stop => !matches!(self, Self::Fault),
+            Command::Restart | Command::Stop => true,
             Command::Align => !matches!(self, Self::Fault | Self::SelfTest | Self::Homing),
             Command::Calibrate => matches!(self, Self::Idle | Self::Aligned),
             Command::Navigate => matches!(self, Self::Aligned),

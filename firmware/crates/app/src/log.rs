@@ -183,7 +183,7 @@ wording!(Report, |self, say| {
 pub struct GyrosCalibrated {
     /// Biases, °/h; with Earth's rate in them where that was not known.
     pub bias_deg_h: [f32; 3],
-    /// Whether they are taken off: where Earth's rate was known, or is a small part of them.
+    /// Whether they are taken off: where Earth's rate was known, or is a small part of what they differ by from those known.
     pub biases_used: bool,
     /// What x and y take of a turn about z, arc minutes.
     pub misalignment_arcmin: [f32; 2],

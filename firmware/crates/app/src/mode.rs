@@ -15,6 +15,9 @@
 //!
 //! Calibrating is a rest, then turns forth and back. From Aligned attitude and heading are known, so that Earth's rate
 //! is told from the gyros' biases; from Idle it is not, and only what goes with the rotor's rate is kept.
+//!
+//! Nobody is to be surprised by a rotor that turns: what rests does so until a command or a start of the program. A fault
+//! of a unit at rest, or one that Stop was said in, leads over the self-test to rest again.
 
 use drivers::{Error, Identity};
 
@@ -387,17 +390,17 @@ impl State {
             (Mode::Calibrating(Calibrating::Turning), Input::GyrosCalibrated(Ok(found))) => {
                 act(a, Action::Tell(Event::GyrosCalibrated(found)));
                 act(a, Action::Tell(Event::GyroBiases(found)));
-                goal = Goal::Align;
+                goal = Goal::Rest;
                 rest(a)
             }
             (Mode::Calibrating(_), Input::GyrosCalibrated(Err(failure))) => {
                 act(a, Action::Tell(Event::NotCalibrated(failure)));
-                goal = Goal::Align;
+                goal = Goal::Rest;
                 rest(a)
             }
             (Mode::Calibrating(_), Input::Tick) if in_mode_us > CALIBRATING_US => {
                 act(a, Action::Tell(Event::NotCalibrated(CalibrationFailure::Timeout)));
-                goal = Goal::Align;
+                goal = Goal::Rest;
                 rest(a)
             }
             (Mode::Navigating, Input::NavigationEnded(why)) => {
@@ -566,8 +569,12 @@ fn command_in(mode: Mode, command: Command, goal: &mut Goal, a: &mut Actions) ->
             mode
         }
         (_, Command::Stop) => {
-            *goal = Goal::Align;
-            rest(a)
+            *goal = Goal::Rest;
+            match mode {
+                // The motor is off; the self-test that time or a command leads to ends in rest.
+                Mode::Fault(_) => mode,
+                _ => rest(a),
+            }
         }
         (Mode::Aligned, Command::Calibrate) => {
             act(a, Action::Rotor(rotor::Command::Stop));
@@ -781,6 +788,8 @@ mod tests {
             (Mode::Navigating, Input::Alignment(Aligned), Mode::Navigating),
             (test, command(Command::Align), test),
             (test, command(Command::Stop), Mode::Idle),
+            (fault(crc, false), command(Command::Stop), fault(crc, false)),
+            (fault(overrun, true), command(Command::Stop), fault(overrun, true)),
             (nearly(false, false), Input::Inspected(Ok(FOUND)), calibrating(false)),
             (nearly(false, true), Input::Inspected(Ok(FOUND)), calibrating(true)),
             (nearly(true, false), Input::Inspected(Ok(FOUND)), searching),
@@ -951,8 +960,38 @@ mod tests {
         let (again, _) = run(state, &[Input::Fault(Fault::Driver), Input::Tick, Input::Tick]);
         assert_eq!((again.mode.name(), again.goal), (ModeName::SelfTest, Goal::Calibrate));
         let (state, done) = run(state, &[Input::GyrosCalibrated(Ok(GYROS))]);
-        assert_eq!((state.mode, state.goal), (Mode::Idle, Goal::Align));
+        assert_eq!((state.mode, state.goal), (Mode::Idle, Goal::Rest));
         assert_eq!(done, [Action::Rotor(rotor::Command::Stop), Action::Job(Job::Idle)]);
+    }
+
+    #[test]
+    fn what_was_stopped_does_not_turn_by_itself() {
+        let (fault, stop) = (Input::Fault(Fault::Driver), Input::Command(Command::Stop));
+        let tested = [
+            Input::Tick,
+            Input::Tick,
+            knows(true, true),
+            Input::Imu(Ok(IDENTITY)),
+            Input::Inspected(Ok(FOUND)),
+        ];
+        // Stopped, then a fault; a fault, then stopped; calibrated, then a fault.
+        for inputs in [
+            &[stop, fault][..],
+            &[fault, stop],
+            &[
+                Input::Command(Command::Calibrate),
+                Input::Rested,
+                Input::GyrosCalibrated(Ok(GYROS)),
+                fault,
+            ],
+        ] {
+            let (state, done) = run(in_mode(Mode::Aligned), &[inputs, &tested].concat());
+            assert_eq!(state.mode, Mode::Idle, "{inputs:?}");
+            assert!(done.contains(&Action::StartEncoder));
+            assert_eq!(done.last(), Some(&Action::Job(Job::Idle)), "{inputs:?}");
+            let (state, _) = run(state, &[&[Input::Command(Command::Align)][..], &tested].concat());
+            assert_eq!(state.mode, Mode::Coarse, "{inputs:?}");
+        }
     }
 
     #[test]

@@ -541,11 +541,14 @@ impl<T: Real> Calibration<T> {
         }
     }
 
-    /// What goes with the rotor's rate alone: for biases that have Earth's rate in them.
+    /// What goes with the rotor's rate, with the biases of the one before, or none: for biases that have Earth's rate in
+    /// them.
     #[must_use]
-    pub fn column_only(&self) -> Self {
+    pub fn with_biases_of(&self, before: Option<&Self>) -> Self {
+        let (bias_s, bias_sd) = before.map_or((Vec3::zero(), self.bias_sd), |before| (before.bias_s, before.bias_sd));
         Self {
-            bias_s: Vec3::zero(),
+            bias_s,
+            bias_sd,
             ..*self
         }
     }

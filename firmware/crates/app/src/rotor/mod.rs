@@ -395,11 +395,17 @@ impl Rotor {
     }
 
     fn act(&mut self, inputs: &Inputs, sense: Sense) -> Result<Option<[Duty; 3]>, RotorFault> {
-        if matches!(self.state, State::Off | State::Fault(_)) {
-            if self.state == State::Off && self.config.homing == Homing::SlipRing && self.homed {
-                self.centre();
+        match self.state {
+            State::Fault(_) => return Ok(None),
+            State::Off => {
+                // Nothing moves, but whoever rests to measure needs the angle; and the turn is lost.
+                encoder_speaks(sense)?;
+                if self.config.homing == Homing::SlipRing && self.homed {
+                    self.centre();
+                }
+                return Ok(None);
             }
-            return Ok(None);
+            State::Calibrating(_) | State::Homing(_) | State::Running(_) | State::Stopping(_) => {}
         }
         self.guard(inputs, sense)?;
         match self.state {
@@ -455,12 +461,10 @@ impl Rotor {
         if inputs.driver_fault {
             return Err(RotorFault::Driver);
         }
-        match sense {
-            Sense::Lost { frozen: true } => return Err(RotorFault::EncoderFrozen),
-            Sense::Lost { frozen: false } => return Err(RotorFault::EncoderInvalid),
-            // Lost before this state was entered: there is nothing to go by.
-            Sense::Bad if !self.shaft.known() => return Err(RotorFault::EncoderInvalid),
-            Sense::Good | Sense::Bad => {}
+        encoder_speaks(sense)?;
+        // Lost before this state was entered: there is nothing to go by.
+        if sense == Sense::Bad && !self.shaft.known() {
+            return Err(RotorFault::EncoderInvalid);
         }
         let Shaft { angle, rate, .. } = self.shaft;
         // An aligning rotor that runs away has its own name, see there.
@@ -710,6 +714,15 @@ enum Margin {
 impl From<Ramp> for Stop {
     fn from(ramp: Ramp) -> Self {
         Self { ramp, held_us: 0 }
+    }
+}
+
+/// The encoder has been lost in this very tick, or not.
+const fn encoder_speaks(sense: Sense) -> Result<(), RotorFault> {
+    match sense {
+        Sense::Lost { frozen: true } => Err(RotorFault::EncoderFrozen),
+        Sense::Lost { frozen: false } => Err(RotorFault::EncoderInvalid),
+        Sense::Good | Sense::Bad => Ok(()),
     }
 }
 

@@ -250,7 +250,7 @@ impl Default for OutputConfig {
 pub struct Imu {
     /// The gyros' errors; `None`: not calibrated.
     pub calibration: Option<Calibration>,
-    /// Temperature of the IMU in that calibration, °C.
+    /// Temperature of the IMU when its biases were found, °C.
     pub temperature_c: f32,
 }
 
