@@ -242,6 +242,66 @@ pub struct Heading {
     pub largest_deg: f64,
 }
 
+/// Starts that ended in a crash again and again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct BootLoops {
+    /// How many.
+    pub made: u32,
+    /// Of those, ended with the brake on.
+    pub braked: u32,
+}
+
+/// Resets.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Resets {
+    /// By the watchdog.
+    pub watchdog: u32,
+    /// Of those, by command.
+    pub command: u32,
+    /// By supply and reset line.
+    pub outside: u32,
+}
+
+/// Longest silence of each task, ms: that of a hanging one until its reset is in it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Silent {
+    /// Of [`Task::Sampling`].
+    pub sampling: u32,
+    /// Of [`Task::Motor`].
+    pub motor: u32,
+    /// Of [`Task::Alignment`].
+    pub alignment: u32,
+}
+
+/// The most that waited at once while no task hung.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Waiting {
+    /// Samples for the alignment.
+    pub samples: usize,
+    /// Inputs for the supervisor.
+    pub inputs: usize,
+    /// Commands for it.
+    pub commands: usize,
+}
+
+/// Samples of the IMU.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Samples {
+    /// Received.
+    pub received: u64,
+    /// Of those, dropped because the alignment did not keep up.
+    pub dropped: u64,
+}
+
+/// Resident memory of the process, kB; zero where the system does not tell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Memory {
+    /// After a quarter of an hour.
+    pub warm: u64,
+    /// At the end.
+    pub end: u64,
+}
+
 /// What came of a soak.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SoakReport {
@@ -265,24 +325,24 @@ pub struct SoakReport {
     pub faults: u32,
     /// Longest time from a fault being found to the motor off, ms.
     pub motor_off_ms: f64,
-    /// Boot loops, and those that ended with the brake on.
-    pub boot_loops: [u32; 2],
-    /// Resets by the watchdog, of those by command, by supply and reset line.
-    pub resets: [u32; 3],
+    /// Boot loops.
+    pub boot_loops: BootLoops,
+    /// Resets.
+    pub resets: Resets,
     /// Rows of failed transfers on the buses.
     pub failed_transfers: u32,
     /// The serial line.
     pub serial: Serial,
     /// The heading.
     pub heading: Heading,
-    /// Longest silence of sampling, motor, alignment, ms: that of hanging ones until their reset is in it.
-    pub silent_ms: [u32; 3],
-    /// Most samples, inputs and commands that waited while no task hung.
-    pub waiting: [usize; 3],
-    /// Samples received, and of those dropped because the alignment did not keep up.
-    pub samples: [u64; 2],
-    /// Memory of the process once warm and at the end, kB; zero where the system does not tell.
-    pub memory_kb: [u64; 2],
+    /// Longest silence of the tasks.
+    pub silent_ms: Silent,
+    /// The most that waited.
+    pub waiting: Waiting,
+    /// Samples.
+    pub samples: Samples,
+    /// Memory of the process.
+    pub memory_kb: Memory,
     /// What did not hold, the first ones in words.
     pub failures: Vec<String>,
     /// How much did not hold.
@@ -321,11 +381,11 @@ impl SoakReport {
              memory: {} kB warm, {} kB at the end\n",
             self.faults,
             self.motor_off_ms,
-            self.boot_loops[0],
-            self.boot_loops[1],
-            self.resets[0],
-            self.resets[1],
-            self.resets[2],
+            self.boot_loops.made,
+            self.boot_loops.braked,
+            self.resets.watchdog,
+            self.resets.command,
+            self.resets.outside,
             self.first_start_s,
             r.count,
             r.mean_s,
@@ -344,23 +404,23 @@ impl SoakReport {
             s.noises,
             s.garbled,
             self.failed_transfers,
-            self.samples[0],
-            self.samples[1],
+            self.samples.received,
+            self.samples.dropped,
             h.looks,
             h.normalised_rms,
             h.beyond_5_sd,
             h.largest_deg,
-            self.silent_ms[0],
-            self.silent_ms[1],
-            self.silent_ms[2],
-            self.waiting[0],
+            self.silent_ms.sampling,
+            self.silent_ms.motor,
+            self.silent_ms.alignment,
+            self.waiting.samples,
             app::shared::SAMPLES,
-            self.waiting[1],
+            self.waiting.inputs,
             app::shared::INPUTS,
-            self.waiting[2],
+            self.waiting.commands,
             app::shared::COMMANDS,
-            self.memory_kb[0],
-            self.memory_kb[1],
+            self.memory_kb.warm,
+            self.memory_kb.end,
         );
         for failure in &self.failures {
             text += &format!("FAILED {failure}\n");
@@ -532,15 +592,15 @@ impl Soak {
             broken_into: 0,
             faults: 0,
             motor_off_ms: 0.0,
-            boot_loops: [0; 2],
-            resets: [0; 3],
+            boot_loops: BootLoops::default(),
+            resets: Resets::default(),
             failed_transfers: 0,
             serial: Serial::default(),
             heading: Heading::default(),
-            silent_ms: [0; 3],
-            waiting: [0; 3],
-            samples: [0; 2],
-            memory_kb: [0; 2],
+            silent_ms: Silent::default(),
+            waiting: Waiting::default(),
+            samples: Samples::default(),
+            memory_kb: Memory::default(),
             failures: Vec::new(),
             failed: 0,
         };
@@ -663,14 +723,14 @@ impl Soak {
         // Of the unit's own clock nothing is left, of the simulator's all: modes and faults keep its time.
         match cause {
             ResetCause::Watchdog => {
-                self.report.resets[0] += 1;
+                self.report.resets.watchdog += 1;
                 if self.session.asked() {
-                    self.report.resets[1] += 1;
+                    self.report.resets.command += 1;
                 } else if self.quiet_since(now_us) {
                     self.fail("the watchdog bit, and nothing was wrong".to_owned());
                 }
             }
-            _ => self.report.resets[2] += 1,
+            _ => self.report.resets.outside += 1,
         }
     }
 
@@ -903,7 +963,7 @@ impl Soak {
             // One that hangs while a fault is latched ends in that.
             let fault = self.session.status().and_then(|status| status.fault);
             if self.braked || fault.is_some_and(|fault| fault.brakes()) {
-                self.report.boot_loops[1] += 1;
+                self.report.boot_loops.braked += 1;
             } else {
                 self.fail(format!("{task:?} hung at every start, and no brake was on"));
             }
@@ -956,7 +1016,7 @@ impl Soak {
             let task = Task::ALL[self.rng.random_range(0..Task::ALL.len())];
             self.disturbed();
             self.braked = false;
-            self.report.boot_loops[0] += 1;
+            self.report.boot_loops.made += 1;
             self.session.hang_at_start(Some(task));
             self.session.set_fault(hang(task), true);
             // Three resets of 0.2 s each.
@@ -1119,11 +1179,11 @@ impl Soak {
             self.fail("the cable was wound past what it bears".to_owned());
         }
         let counts = self.session.samples();
-        self.report.samples[0] += u64::from(counts.tally.received.saturating_sub(self.received));
+        self.report.samples.received += u64::from(counts.tally.received.saturating_sub(self.received));
         self.received = counts.tally.received;
-        self.report.samples[1] = self.report.samples[1].max(u64::from(counts.overruns));
-        if self.report.memory_kb[0] == 0 && now_us > 900_000_000 {
-            self.report.memory_kb[0] = memory_kb();
+        self.report.samples.dropped = self.report.samples.dropped.max(u64::from(counts.overruns));
+        if self.report.memory_kb.warm == 0 && now_us > 900_000_000 {
+            self.report.memory_kb.warm = memory_kb();
         }
         if matches!(self.was, Some((ModeName::Aligned, _)))
             && let Some(moment) = self.session.moment()
@@ -1164,14 +1224,27 @@ impl Soak {
                 driven_at_s.unwrap_or_default()
             ));
         }
-        let [warm, end] = [self.report.memory_kb[0], memory_kb()];
-        self.report.memory_kb = [if warm == 0 { end } else { warm }, end];
+        let (warm, end) = (self.report.memory_kb.warm, memory_kb());
+        self.report.memory_kb = Memory {
+            warm: if warm == 0 { end } else { warm },
+            end,
+        };
         if warm > 0 && end > warm + GROWTH_KB {
             self.fail(format!("memory grew from {warm} to {end} kB"));
         }
         let report = &mut self.report;
-        report.silent_ms = silent_ms;
-        report.waiting = waiting;
+        let [sampling, motor, alignment] = silent_ms;
+        report.silent_ms = Silent {
+            sampling,
+            motor,
+            alignment,
+        };
+        let [samples, inputs, commands] = waiting;
+        report.waiting = Waiting {
+            samples,
+            inputs,
+            commands,
+        };
         report.serial.bytes_out = self.heard.bytes;
         report.serial.sentences = self.heard.sentences;
         self.report
