@@ -412,7 +412,7 @@ fn an_encoder_that_falls_silent_at_rest_is_found() {
 
 /// Whatever happens to a unit that was told to stop, its rotor stands until somebody says otherwise.
 #[test]
-fn what_was_stopped_stays_so_over_faults() {
+fn what_was_stopped_stays_so_over_faults_and_crashes() {
     let mut unit = Unit::new(5);
     unit.run(30.0);
     assert_eq!(unit.asked("stop"), ["ok,the rotor stops"]);
@@ -440,6 +440,15 @@ fn what_was_stopped_stays_so_over_faults() {
     unit.session.set_fault(FaultKind::Driver, false);
     unit.run(20.0);
     assert_eq!((unit.mode(), unit.session.driven()), (("idle", None), false));
+    // A crash is no start that somebody wants; a restart is.
+    unit.session.set_fault(FaultKind::HangMotor, true);
+    assert_eq!(unit.run(1.0), [ResetCause::Watchdog]);
+    unit.session.set_fault(FaultKind::HangMotor, false);
+    unit.run(20.0);
+    assert_eq!((unit.mode(), unit.session.driven()), (("idle", None), false));
+    assert_eq!(unit.asked("restart"), ["ok,restarting"]);
+    unit.run(20.0);
+    assert_eq!(unit.mode().0, "coarse");
 }
 
 /// A home switch that hangs is found as soon as the rotor is told to move by it, or where the edge should have been.

@@ -387,10 +387,13 @@ struct Life {
     asked: bool,
     /// A fault is latched.
     held: bool,
+    /// The unit was told to rest.
+    rests: bool,
 }
 
 const ASKED: u32 = 1;
 const HELD: u32 = 1 << 1;
+const RESTS: u32 = 1 << 2;
 
 impl Life {
     fn read(memory: &impl Memory) -> Option<Self> {
@@ -399,13 +402,15 @@ impl Life {
             start: start as u16,
             asked: flags & ASKED != 0,
             held: flags & HELD != 0,
+            rests: flags & RESTS != 0,
             doing: doing(mode as u8, t_s, sd),
         })
     }
 
     fn write(&self, memory: &mut impl Memory) {
         let (mode, t_s, sd) = packed(&self.doing);
-        let flags = if self.asked { ASKED } else { 0 } | if self.held { HELD } else { 0 };
+        let flag = |is, flag| if is { flag } else { 0 };
+        let flags = flag(self.asked, ASKED) | flag(self.held, HELD) | flag(self.rests, RESTS);
         let words = [self.start.into(), flags, mode.into(), t_s, sd, 0, 0, 0, 0];
         seal(memory, LIFE, &words);
     }
@@ -586,6 +591,7 @@ impl<M: Memory> BlackBox<M> {
             doing: NOTHING,
             asked: false,
             held: cause != ResetCause::PowerOn && life.is_some_and(|life| life.held),
+            rests: crashed && life.is_some_and(|life| life.rests),
         };
         life.write(&mut memory);
         let start = Start { cause, asked, before };
@@ -623,6 +629,20 @@ impl<M: Memory> BlackBox<M> {
     pub fn hold(&mut self, held: bool) {
         if self.life.held != held {
             self.life.held = held;
+            self.life.write(&mut self.memory);
+        }
+    }
+
+    /// Whether the unit was told to rest before a crash, and is to go on with that: whoever stopped it may have a hand in
+    /// it. A start that somebody wants leads to alignment.
+    pub fn rests(&self) -> bool {
+        self.life.rests
+    }
+
+    /// It is told to rest, or is not any more.
+    pub fn rest(&mut self, rests: bool) {
+        if self.life.rests != rests {
+            self.life.rests = rests;
             self.life.write(&mut self.memory);
         }
     }

@@ -16,8 +16,8 @@
 //! Calibrating is a rest, then turns forth and back. From Aligned attitude and heading are known, so that Earth's rate
 //! is told from the gyros' biases; from Idle it is not, and only what goes with the rotor's rate is kept.
 //!
-//! Nobody is to be surprised by a rotor that turns: what rests does so until a command or a start of the program. A fault
-//! of a unit at rest, or one that Stop was said in, leads over the self-test to rest again.
+//! Nobody is to be surprised by a rotor that turns: what rests does so until a command, or a start that somebody wants. A
+//! fault or a crash of a unit at rest, or one that Stop was said in, leads over the self-test to rest again.
 
 use drivers::{Error, Identity};
 
@@ -266,6 +266,14 @@ fn act(actions: &mut Actions, action: Action) {
 }
 
 impl State {
+    /// Before the start; one that is to rest goes no further than the self-test.
+    pub fn new(rests: bool) -> Self {
+        Self {
+            goal: if rests { Goal::Rest } else { Goal::Align },
+            ..Self::default()
+        }
+    }
+
     /// What others see.
     pub fn status(&self) -> Status {
         let (fault, latched) = match self.mode {

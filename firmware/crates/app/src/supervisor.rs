@@ -9,7 +9,7 @@ use crate::command::ModeName;
 use crate::fault::{Fault, Task};
 use crate::hal::{Cutoff, Watchdog};
 use crate::log::Event;
-use crate::mode::{Action, Input, State};
+use crate::mode::{Action, Goal, Input, State};
 use crate::shared::Shared;
 
 /// How long a task may be silent, and how often it is looked at.
@@ -66,7 +66,7 @@ pub async fn run<M: RawMutex, C: Cutoff, W: Watchdog, B: Memory>(
         shared.check_in(task);
     }
     let status = shared.status.sender();
-    let mut state = State::default();
+    let mut state = State::new(blackbox.rests());
     let mut ticker = Ticker::every(Duration::from_millis(u64::from(config.period_ms)));
     let mut input = match blackbox.brake() {
         Some(crashes) => Input::Fault(Fault::BootLoop { crashes }),
@@ -128,6 +128,7 @@ fn keep<M: RawMutex, B: Memory>(
     if let Some(latched) = now.latched() {
         blackbox.hold(latched);
     }
+    blackbox.rest(now.goal == Goal::Rest);
     if now.restarts {
         blackbox.asked();
     }

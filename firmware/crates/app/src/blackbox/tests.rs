@@ -173,6 +173,34 @@ fn a_reset_by_command_is_no_crash() {
 }
 
 #[test]
+fn a_latched_fault_outlives_what_nobody_switched_on_and_rest_a_crash() {
+    use ResetCause::{BrownOut, Pin, PowerOn, Software, Watchdog};
+    for (cause, asks, held, rests) in [
+        (Watchdog, false, true, true),
+        (BrownOut, false, true, true),
+        (Watchdog, true, true, false),
+        // Without a record of a panic nobody knows why.
+        (Software, false, true, false),
+        (Pin, false, true, false),
+        (PowerOn, false, false, false),
+    ] {
+        let mut memory = Ram::zeros();
+        run(&mut memory, PowerOn, |unit| {
+            unit.hold(true);
+            unit.rest(true);
+            if asks {
+                unit.asked();
+            }
+        });
+        run(&mut memory, cause, |unit| {
+            assert_eq!((unit.is_held(), unit.rests()), (held, rests), "{cause:?}");
+            unit.rest(false);
+        });
+        run(&mut memory, Watchdog, |unit| assert!(!unit.rests()));
+    }
+}
+
+#[test]
 fn the_last_eight_in_order_and_the_same_once() {
     let mut memory = Ram::zeros();
     run(&mut memory, ResetCause::PowerOn, |blackbox| {
