@@ -11,7 +11,7 @@ use std::sync::OnceLock;
 use app::command::ModeName;
 use app::fault::Fault;
 use app::mode::Status;
-use app::nmea::{self, HeadingMode};
+use app::nmea::{self, HeadingMode, Talker};
 use app::record::{self, Recorder, Taken};
 use app::sample::TimedSample;
 use drivers::{Channels, Identity, Scale};
@@ -175,9 +175,9 @@ fn short(count: usize) -> Vec<u8> {
 fn cycle(bytes: &mut Vec<u8>, k: usize) {
     let heading = Some(k as f32 * 1e-3);
     bytes.extend_from_slice(b"\r\n");
-    bytes.extend_from_slice(nmea::ths(heading, HeadingMode::Autonomous).as_bytes());
-    bytes.extend_from_slice(nmea::rot(Some(0.1)).as_bytes());
-    bytes.extend_from_slice(nmea::hdt(1.0).unwrap().as_bytes());
+    bytes.extend_from_slice(nmea::ths(Talker::He, heading, HeadingMode::Autonomous).as_bytes());
+    bytes.extend_from_slice(nmea::rot(Talker::He, Some(0.1)).as_bytes());
+    bytes.extend_from_slice(nmea::hdt(Talker::He, 1.0).unwrap().as_bytes());
     bytes.extend_from_slice(nmea::answer(true, "recording").as_bytes());
 }
 
@@ -707,7 +707,7 @@ fn a_recording_that_begins_anywhere() {
 
 #[test]
 fn what_cannot_be_read_is_said() {
-    let sentence = nmea::hdt(1.0).unwrap();
+    let sentence = nmea::hdt(Talker::He, 1.0).unwrap();
     assert_eq!(
         message(sentence.as_bytes()),
         "u.bin: 1 sentences, but no record of samples: switch recording on in the unit"

@@ -3,6 +3,7 @@
 
 mod common;
 
+use app::nmea::Talker;
 use frames::units::{DEG, DEG_PER_HOUR, PPM};
 use hal_sim::align::Method;
 use hal_sim::bus::UartLine;
@@ -187,6 +188,60 @@ fn what_was_saved_outlives_a_restart() {
         .collect();
     assert!(homing[1] < homing[0] - 2.0, "{homing:?}");
     assert!(result.settings.encoder.electrical_offset.is_some() && result.faults.is_empty());
+}
+
+/// What the unit is called on the line, in the order of its coming.
+#[derive(Default)]
+struct Talkers(Vec<String>);
+
+impl Observer for Talkers {
+    fn sentence(&mut self, line: &UartLine) {
+        let text = String::from_utf8_lossy(&line.bytes);
+        // Those with a P are our own.
+        if let Some(talker) = text.get(1..3).filter(|talker| !talker.starts_with('P')) {
+            self.0.push(talker.to_owned());
+            self.0.dedup();
+        }
+    }
+}
+
+/// Saved and started again, every sentence is the talker's; a word that is none changes nothing.
+#[test]
+fn the_talker_is_the_one_that_was_set() {
+    let mut scenario = Scenario::builtin("static").unwrap();
+    scenario.run.duration_s = 30.0;
+    let typed = [
+        "2 set talker hc",
+        "10 save",
+        "12 restart",
+        "20 SET TALKER XX",
+        "21 save",
+        "22 restart",
+    ];
+    let typed: Vec<Typed> = typed.iter().map(|text| text.parse().unwrap()).collect();
+    let mut talkers = Talkers::default();
+    let result = unit_sim::run_session(&scenario, 1, Method::Robust, &typed, &mut talkers).unwrap();
+    assert_eq!((talkers.0, result.resets), (vec!["HE".to_owned(), "HC".to_owned()], 2));
+    assert_eq!(result.settings.output.talker, Talker::Hc);
+
+    let typed = [
+        "1 set talker In",
+        "2 show",
+        "3 set talker",
+        "4 set talker 2",
+        "5 set talker IN now",
+    ];
+    let (_, answers) = session(&scenario, 1, 7.0, &typed);
+    assert_eq!(answers[0], "ok,set - save it then restart");
+    assert!(answers.contains(&"ok,talker IN ".to_owned()), "{answers:?}");
+    assert_eq!(
+        answers[answers.len() - 3..],
+        [
+            "error,expected talker HE  HC  IN or GP",
+            "error,expected talker HE  HC  IN or GP",
+            "error,expected nothing more on the line",
+        ]
+    );
 }
 
 /// Ten minutes of dead reckoning: the place goes off as gyros and accelerometers say, the heading is within its 1σ.

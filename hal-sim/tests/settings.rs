@@ -1,7 +1,10 @@
 //! The settings over power cuts, damage, time and other programs, on a simulated flash.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use app::settings::{Group, Imu, Invalid, Mounting, Origin, Report, Saved, Settings, Source, Store, StoreError};
+use app::nmea::Talker;
+use app::settings::{
+    Group, Imu, Invalid, Mounting, Origin, OutputConfig, Report, Saved, Settings, Source, Store, StoreError,
+};
 use drivers::crc::crc32;
 use drivers::harmonics::{Harmonic, Harmonics};
 use embassy_futures::block_on;
@@ -37,7 +40,10 @@ fn change(settings: &mut Settings, group: Group, rng: &mut ChaCha8Rng) {
             settings.last_position.source = Source::Gnss;
         }
         Group::Motion => settings.motion.rate = rng.random_range(0.1..0.7),
-        Group::Output => settings.output.period_ms = rng.random_range(50..10_000),
+        Group::Output => {
+            settings.output.period_ms = rng.random_range(50..10_000);
+            settings.output.talker = Talker::ALL[rng.random_range(0..Talker::ALL.len())];
+        }
         Group::Imu => {
             settings.imu = Imu {
                 calibration: rng.random_bool(0.8).then(|| Calibration {
@@ -427,6 +433,55 @@ fn an_installation_of_version_1_is_migrated() {
     assert_eq!(found, Settings::default());
 }
 
+/// Output of version 1: all but the talker, which was HE.
+#[test]
+fn an_output_of_version_1_is_migrated() {
+    let mut old = vec![1];
+    for count in [250_u32, 5, 300, 100] {
+        old.extend(count.to_le_bytes());
+    }
+    for number in [0.1_f32, 2.0] {
+        old.extend(number.to_le_bytes());
+    }
+    let expected = OutputConfig {
+        period_ms: 250,
+        status_every: 5,
+        fresh_ms: 300,
+        write_ms: 100,
+        estimated_sd: 0.1,
+        rate_tau: 2.0,
+        talker: Talker::He,
+    };
+    let flash = Flash::with_bytes(&record(4, 5, &old), 0);
+    let before = flash.bytes();
+    let (mut store, mut settings, report) = start(&flash);
+    assert_eq!(origin(&report, Group::Output), Origin::Migrated { from: 1 });
+    assert_eq!(settings.output, expected);
+    assert_eq!((report.wanting().count(), flash.bytes()), (0, before));
+    for talker in Talker::ALL {
+        settings.output.talker = talker;
+        block_on(store.save(&settings, Group::Output)).unwrap();
+        let (_, found, report) = start(&flash);
+        assert_eq!(origin(&report, Group::Output), Origin::Stored);
+        assert_eq!(found, settings);
+    }
+    // In a record of version 2 the talker is not missing, and one of those there are.
+    old[0] = 2;
+    let refused = |body: &[u8]| {
+        let (_, found, report) = start(&Flash::with_bytes(&record(4, 5, body), 0));
+        assert_eq!(found, Settings::default());
+        origin(&report, Group::Output)
+    };
+    assert_eq!(refused(&old), Origin::Refused(Invalid::Length));
+    old.push(4);
+    let beyond = Invalid::OutOfRange {
+        name: "output talker",
+        low: 0.0,
+        high: 3.0,
+    };
+    assert_eq!(refused(&old), Origin::Refused(beyond));
+}
+
 /// What a later program has saved is told, left alone and taken along, its unknown groups as well.
 #[test]
 fn records_of_a_later_program_are_kept() {
@@ -740,9 +795,9 @@ fn the_records_are_those_of_postcard() {
         installation,
         ((p.latitude, p.longitude, p.height), 1, (m.heading, m.pitch, m.roll))
     );
-    let output: (Wide, Wide, Wide, Wide, f32, f32) = postcard::from_bytes(&body(&s, Group::Output)).unwrap();
+    let output: (Wide, Wide, Wide, Wide, f32, f32, u8) = postcard::from_bytes(&body(&s, Group::Output)).unwrap();
     assert_eq!(output.0, Wide(s.output.period_ms));
-    assert_eq!(output.5, s.output.rate_tau);
+    assert_eq!((output.5, output.6), (s.output.rate_tau, s.output.talker as u8));
     let thermal: Vec<(f32, F3)> = {
         let bytes = body(&s, Group::Thermal);
         (0..usize::from(bytes[0]))

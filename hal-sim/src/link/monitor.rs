@@ -318,7 +318,7 @@ fn is_frame(frame: &[u8]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use app::nmea;
+    use app::nmea::{self, Talker};
     use proptest::prelude::*;
 
     use super::*;
@@ -369,7 +369,10 @@ mod tests {
     fn places_are_those_of_the_unit() {
         let mut monitor = Monitor::default();
         let [latitude, longitude] = [-33.5_f32, 151.2].map(f32::to_radians);
-        let sentences = [nmea::gll(latitude, longitude).unwrap(), nmea::vtg(-3.0, 4.0).unwrap()];
+        let sentences = [
+            nmea::gll(Talker::He, latitude, longitude).unwrap(),
+            nmea::vtg(Talker::In, -3.0, 4.0).unwrap(),
+        ];
         for sentence in &sentences {
             heard(&mut monitor, sentence.as_bytes(), 0.0);
         }

@@ -3,13 +3,14 @@
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use app::console::{LONGEST, LineBuffer, LineError, Request, WORDS, parse};
+use app::nmea::Talker;
 use app::nmea_in;
 use app::settings::Settings;
 
 use crate::Feed;
 
 /// A line. One that is taken is taken in other letters and with other blanks for the same; a setting that is taken is
-/// what the number says, in its range, and comes back from flash. A sentence that ends in a tilde gets its check sum.
+/// what the number or the word says, in its range, and comes back from flash. A sentence that ends in a tilde gets its check sum.
 pub fn line(data: &[u8]) {
     let found = parse(data);
     if let [b'$', body @ ..] = data {
@@ -37,7 +38,13 @@ pub fn line(data: &[u8]) {
             assert_eq!(parse(words.join(" ").to_uppercase().as_bytes()), Ok(Some(request)));
             assert_eq!(parse(words.join("\t").to_lowercase().as_bytes()), Ok(Some(request)));
             if let Request::Set(setting, value) = request {
-                let typed: f64 = words[2].parse().unwrap();
+                let typed: f64 = match setting.name {
+                    "talker" => {
+                        let named = |talker: &Talker| talker.as_str().eq_ignore_ascii_case(&words[2]);
+                        Talker::ALL.iter().position(named).unwrap() as f64
+                    }
+                    _ => words[2].parse().unwrap(),
+                };
                 // Two roundings, of digits and of the quotient.
                 let difference = (f64::from(value) - typed).abs();
                 assert!(
@@ -83,7 +90,7 @@ fn put(setting: &app::console::Setting, value: f32) {
     assert_eq!(back, settings);
     // To what the smallest step of the value is, or a whole count.
     let got = setting.get(&settings);
-    let step = if matches!(setting.name, "period" | "serial") {
+    let step = if matches!(setting.name, "period" | "talker" | "serial") {
         1.0
     } else {
         3.0 * f32::EPSILON * value.abs()

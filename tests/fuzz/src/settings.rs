@@ -1,5 +1,6 @@
 //! The settings: [`app::settings`], their bytes and their store on a flash that holds anything.
 
+use app::nmea::Talker;
 use app::settings::{Group, NAME, Settings, Store};
 use embassy_futures::block_on;
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
@@ -153,7 +154,10 @@ fn changed(settings: &Settings, group: Group, by: u8) -> Settings {
         Group::Installation => new.installation.position.latitude = step,
         Group::LastPosition => new.last_position.height = f32::from(by),
         Group::Motion => new.motion.rate = 0.2 + step / 4.0,
-        Group::Output => new.output.period_ms = 50 + u32::from(by),
+        Group::Output => {
+            new.output.period_ms = 50 + u32::from(by);
+            new.output.talker = Talker::ALL[usize::from(by) % Talker::ALL.len()];
+        }
         Group::Imu => new.imu.temperature_c = step,
         Group::Thermal => new.thermal.used = 0,
         Group::Encoder => new.encoder.zero = step,

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::{env, fs};
 
 use app::console::{Setting, WORDS};
+use app::nmea::Talker;
 use app::settings::{Group, Settings};
 use drivers::mt6835::{self, AngleCounts, Reading, Warnings};
 use frames::Vec3;
@@ -50,6 +51,7 @@ fn seeds() -> Vec<Seed> {
         seed("console_line", &name, line.clone().into_bytes());
     }
     seed("console_line", "remark", b" # nothing".to_vec());
+    seed("console_line", "talker", b"set talker Hc".to_vec());
     for sentence in [
         "$GPRMC,120000.00,A,4000.6000,N,00500.0000,W,0.5,90.1,010126,,,A,V~",
         "$GPVTG,90.0,T,,M,10.0,N,18.5,K,A~",
@@ -191,7 +193,8 @@ fn words() -> [(&'static str, Vec<String>); 4] {
     let console = WORDS
         .iter()
         .map(|word| word.name)
-        .chain(Setting::ALL.iter().map(|setting| setting.name));
+        .chain(Setting::ALL.iter().map(|setting| setting.name))
+        .chain(Talker::ALL.map(Talker::as_str));
     let keys = |text: String| {
         let mut keys: Vec<_> = text
             .lines()

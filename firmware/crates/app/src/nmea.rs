@@ -2,16 +2,16 @@
 //!
 //! | sentence | what | where it is not valid |
 //! |---|---|---|
-//! | `$HETHS` | true heading and its [`HeadingMode`] | heading empty, mode V |
-//! | `$HEHDT` | true heading | not sent |
-//! | `$HEROT` | rate of turn, °/min, to port negative | rate empty, V |
+//! | `$--THS` | true heading and its [`HeadingMode`] | heading empty, mode V |
+//! | `$--HDT` | true heading | not sent |
+//! | `$--ROT` | rate of turn, °/min, to port negative | rate empty, V |
 //! | `$PASHR` | heading, roll, pitch, their σ | all empty but the two flags, as in the layout's source |
-//! | `$HEGLL` | place by dead reckoning | not sent |
-//! | `$HEVTG` | course and speed by dead reckoning | not sent |
+//! | `$--GLL` | place by dead reckoning | not sent |
+//! | `$--VTG` | course and speed by dead reckoning | not sent |
 //! | `$PRNST` | the unit's own: mode, σ, fault, rotor | fields empty one by one |
 //! | `$PRNSA` | the unit's own: answer to a command | |
 //!
-//! The talker is HE, a north-seeking gyro. Fields in full are in `docs/serial.md`.
+//! In place of `--` is the [`Talker`]. Fields in full are in `docs/serial.md`.
 //!
 //! Pure and without `core::fmt`, which costs 14 kB of code for an `f32`: numbers are rounded to integers of the last
 //! digit and written by hand. Rounding is what makes 359.996° 0.00 and −0.004° 0.00; a σ is rounded up, so that none
@@ -47,6 +47,36 @@ impl Sentence {
     }
 }
 
+/// What the sender of a sentence is. Readers take sentences by it; which is for whom is in `docs/serial.md`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Talker {
+    /// A gyro that seeks north.
+    #[default]
+    He,
+    /// A magnetic compass.
+    Hc,
+    /// Integrated navigation.
+    In,
+    /// A receiver of GPS.
+    Gp,
+}
+
+impl Talker {
+    /// All there are, by their numbers in flash: a new one goes to the end.
+    pub const ALL: [Self; 4] = [Self::He, Self::Hc, Self::In, Self::Gp];
+
+    /// Its two letters.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::He => "HE",
+            Self::Hc => "HC",
+            Self::In => "IN",
+            Self::Gp => "GP",
+        }
+    }
+}
+
 /// Mode indicator of THS.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -78,9 +108,9 @@ impl HeadingMode {
 
 /// True heading and how it was come by. `heading` in rad, any turn; without one, or without a finite one, the mode is
 /// V, and with V there is none.
-pub fn ths(heading: Option<f32>, mode: HeadingMode) -> Sentence {
+pub fn ths(talker: Talker, heading: Option<f32>, mode: HeadingMode) -> Sentence {
     let heading = heading.and_then(hundredths_of_turn);
-    let mut line = Line::start("$HETHS");
+    let mut line = Line::of(talker, "THS");
     line.comma();
     match heading {
         Some(heading) if mode != HeadingMode::Invalid => {
@@ -93,9 +123,9 @@ pub fn ths(heading: Option<f32>, mode: HeadingMode) -> Sentence {
 }
 
 /// True heading, rad, any turn; no sentence for one that is not finite.
-pub fn hdt(heading: f32) -> Option<Sentence> {
+pub fn hdt(talker: Talker, heading: f32) -> Option<Sentence> {
     let heading = hundredths_of_turn(heading)?;
-    let mut line = Line::start("$HEHDT");
+    let mut line = Line::of(talker, "HDT");
     line.comma();
     line.fixed(heading, 2, false);
     line.letter(b'T');
@@ -103,10 +133,10 @@ pub fn hdt(heading: f32) -> Option<Sentence> {
 }
 
 /// Rate of turn, rad/s, clockwise positive: the bow to starboard.
-pub fn rot(rate: Option<f32>) -> Sentence {
+pub fn rot(talker: Talker, rate: Option<f32>) -> Sentence {
     let tenths = rate.and_then(|rate| rounded(rate / DEG as f32 * 60.0 * 10.0));
     let tenths = tenths.map(|tenths| tenths.clamp(-999_999, 999_999));
-    let mut line = Line::start("$HEROT");
+    let mut line = Line::of(talker, "ROT");
     line.comma();
     if let Some(tenths) = tenths {
         line.fixed(tenths, 1, false);
@@ -156,8 +186,8 @@ pub fn pashr(attitude: Option<(&Attitude, &AttitudeSd)>, aligned: bool) -> Sente
 /// place that is not finite. Time stays empty.
 ///
 /// Ten-thousandths of a minute are 0.2 m; an `f32` of 180° is good to eight of them.
-pub fn gll(latitude: f32, longitude: f32) -> Option<Sentence> {
-    let mut line = Line::start("$HEGLL");
+pub fn gll(talker: Talker, latitude: f32, longitude: f32) -> Option<Sentence> {
+    let mut line = Line::of(talker, "GLL");
     for (angle, most, letters) in [(latitude, 90, b"NS"), (longitude, 180, b"EW")] {
         let scaled = rounded(degrees(angle) * 600_000.0)?;
         let size = scaled.unsigned_abs().min(most * 600_000);
@@ -183,11 +213,11 @@ pub fn gll(latitude: f32, longitude: f32) -> Option<Sentence> {
 
 /// Course and speed over ground by dead reckoning, of a velocity to east and north, m/s; no sentence where it is not
 /// finite. Below 0.1 m/s there is no course.
-pub fn vtg(east: f32, north: f32) -> Option<Sentence> {
+pub fn vtg(talker: Talker, east: f32, north: f32) -> Option<Sentence> {
     let speed = Some(math::hypot(east, north)).filter(|speed| speed.is_finite())?;
     let [knots, km_h] = [3600.0 / 1852.0, 3.6].map(|scale| rounded((speed * scale).min(9999.0) * 100.0));
     let course = hundredths_of_turn(math::atan2(east, north))?;
-    let mut line = Line::start("$HEVTG");
+    let mut line = Line::of(talker, "VTG");
     line.comma();
     if speed >= 0.1 {
         line.fixed(course, 2, false);
@@ -344,6 +374,15 @@ impl Line {
         line
     }
 
+    /// The beginning of a sentence that is not our own.
+    #[inline(never)]
+    fn of(talker: Talker, kind: &str) -> Self {
+        let mut line = Self::start("$");
+        line.text(talker.as_str());
+        line.text(kind);
+        line
+    }
+
     #[inline(never)]
     fn push(&mut self, byte: u8) {
         if self.0.len() < BODY {
@@ -448,6 +487,7 @@ mod tests {
         }
     }
 
+    const HE: Talker = Talker::He;
     const SD: AttitudeSd = AttitudeSd {
         heading: 0.35 * DEG as f32,
         pitch: 1e-7,
@@ -458,11 +498,11 @@ mod tests {
     fn known_sentences() {
         // The third is one of gpsd's examples; the check sums of the others were made by another program.
         assert_eq!(
-            ths(Some(rad(77.52)), HeadingMode::Estimated).as_str(),
+            ths(HE, Some(rad(77.52)), HeadingMode::Estimated).as_str(),
             "$HETHS,77.52,E*2E\r\n"
         );
-        assert_eq!(hdt(rad(274.07)).unwrap().as_str(), "$HEHDT,274.07,T*19\r\n");
-        assert_eq!(rot(Some(0.0)).as_str(), "$HEROT,0.0,A*2B\r\n");
+        assert_eq!(hdt(HE, rad(274.07)).unwrap().as_str(), "$HEHDT,274.07,T*19\r\n");
+        assert_eq!(rot(HE, Some(0.0)).as_str(), "$HEROT,0.0,A*2B\r\n");
         assert_eq!(pashr(None, true).as_str(), "$PASHR,,,,,,,,,,0,0*74\r\n");
         assert_eq!(
             pashr(Some((&attitude(305.3, -0.126, 0.054), &SD)), true).as_str(),
@@ -474,24 +514,44 @@ mod tests {
     fn places_and_speeds() {
         // Check sums by another program.
         assert_eq!(
-            gll(rad(40.1), rad(-8.500_01)).unwrap().as_str(),
+            gll(HE, rad(40.1), rad(-8.500_01)).unwrap().as_str(),
             "$HEGLL,4006.0000,N,00830.0006,W,,V,E*53\r\n"
         );
         assert_eq!(
-            gll(rad(-0.99), rad(100.5)).unwrap().as_str(),
+            gll(HE, rad(-0.99), rad(100.5)).unwrap().as_str(),
             "$HEGLL,0059.4000,S,10030.0000,E,,V,E*59\r\n"
         );
         assert_eq!(
-            vtg(-3.0, 4.0).unwrap().as_str(),
+            vtg(HE, -3.0, 4.0).unwrap().as_str(),
             "$HEVTG,323.13,T,,M,9.72,N,18.00,K,E*16\r\n"
         );
-        assert_eq!(fields(&vtg(0.05, 0.0).unwrap())[1], "");
-        assert_eq!((gll(f32::NAN, 0.0), vtg(0.0, f32::INFINITY)), (None, None));
+        assert_eq!(fields(&vtg(HE, 0.05, 0.0).unwrap())[1], "");
+        assert_eq!((gll(HE, f32::NAN, 0.0), vtg(HE, 0.0, f32::INFINITY)), (None, None));
+    }
+
+    #[test]
+    fn each_talker_says_who_it_is() {
+        for (place, talker) in Talker::ALL.into_iter().enumerate() {
+            // Its number in flash.
+            assert_eq!(talker as usize, place);
+            let addresses = [
+                (ths(talker, None, HeadingMode::Invalid), "THS"),
+                (hdt(talker, 1.0).unwrap(), "HDT"),
+                (rot(talker, None), "ROT"),
+                (gll(talker, 0.1, 0.1).unwrap(), "GLL"),
+                (vtg(talker, 1.0, 1.0).unwrap(), "VTG"),
+            ];
+            for (sentence, kind) in addresses {
+                assert_eq!(fields(&sentence)[0], std::format!("{}{kind}", talker.as_str()));
+            }
+        }
+        // The check sum by another program.
+        assert_eq!(hdt(Talker::Hc, rad(274.07)).unwrap().as_str(), "$HCHDT,274.07,T*1F\r\n");
     }
 
     #[test]
     fn headings_stay_within_a_turn_after_rounding() {
-        let of = |deg: f64| fields(&ths(Some(rad(deg)), HeadingMode::Autonomous))[1].clone();
+        let of = |deg: f64| fields(&ths(HE, Some(rad(deg)), HeadingMode::Autonomous))[1].clone();
         for (deg, text) in [
             (359.996, "0.00"),
             (359.99, "359.99"),
@@ -503,7 +563,7 @@ mod tests {
             (-90.0, "270.00"),
         ] {
             assert_eq!(of(deg), text, "{deg}");
-            assert_eq!(fields(&hdt(rad(deg)).unwrap())[1], text);
+            assert_eq!(fields(&hdt(HE, rad(deg)).unwrap())[1], text);
             assert_eq!(fields(&pashr(Some((&attitude(deg, 0.0, 0.0), &SD)), true))[2], text);
         }
     }
@@ -511,12 +571,12 @@ mod tests {
     #[test]
     fn nothing_invalid_carries_a_heading() {
         let invalid = "$HETHS,,V*14\r\n";
-        assert_eq!(ths(None, HeadingMode::Autonomous).as_str(), invalid);
-        assert_eq!(ths(Some(1.0), HeadingMode::Invalid).as_str(), invalid);
-        assert_eq!(ths(Some(f32::NAN), HeadingMode::Autonomous).as_str(), invalid);
-        assert_eq!(hdt(f32::INFINITY), None);
-        assert_eq!(rot(None).as_str(), "$HEROT,,V*12\r\n");
-        assert_eq!(rot(Some(f32::NAN)), rot(None));
+        assert_eq!(ths(HE, None, HeadingMode::Autonomous).as_str(), invalid);
+        assert_eq!(ths(HE, Some(1.0), HeadingMode::Invalid).as_str(), invalid);
+        assert_eq!(ths(HE, Some(f32::NAN), HeadingMode::Autonomous).as_str(), invalid);
+        assert_eq!(hdt(HE, f32::INFINITY), None);
+        assert_eq!(rot(HE, None).as_str(), "$HEROT,,V*12\r\n");
+        assert_eq!(rot(HE, Some(f32::NAN)), rot(HE, None));
         let broken = AttitudeSd { pitch: f32::NAN, ..SD };
         assert_eq!(
             pashr(Some((&attitude(1.0, 2.0, 3.0), &broken)), true),
@@ -526,8 +586,8 @@ mod tests {
 
     #[test]
     fn port_is_negative() {
-        assert_eq!(fields(&rot(Some(rad(-7.3 / 60.0))))[1], "-7.3");
-        assert_eq!(fields(&rot(Some(rad(-0.04 / 60.0))))[1], "0.0");
+        assert_eq!(fields(&rot(HE, Some(rad(-7.3 / 60.0))))[1], "-7.3");
+        assert_eq!(fields(&rot(HE, Some(rad(-0.04 / 60.0))))[1], "0.0");
     }
 
     #[test]
@@ -622,9 +682,9 @@ mod tests {
             text in any::<String>(),
         ) {
             for mode in [HeadingMode::Autonomous, HeadingMode::Invalid] {
-                prop_assert_eq!(fields(&ths(Some(heading), mode)).len(), 3);
+                prop_assert_eq!(fields(&ths(HE, Some(heading), mode)).len(), 3);
             }
-            prop_assert_eq!(fields(&rot(Some(heading))).len(), 3);
+            prop_assert_eq!(fields(&rot(HE, Some(heading))).len(), 3);
             let sds = AttitudeSd { heading: sd, pitch: sd, roll: sd };
             prop_assert_eq!(fields(&pashr(Some((&Attitude { heading, pitch, roll }, &sds)), true)).len(), 12);
             fields(&answer(true, &text));
@@ -640,7 +700,7 @@ mod tests {
 
         #[test]
         fn headings_are_right_to_half_a_digit(deg in -720.0..720.0_f64) {
-            let shown: f64 = fields(&ths(Some(rad(deg)), HeadingMode::Autonomous))[1].parse().unwrap();
+            let shown: f64 = fields(&ths(HE, Some(rad(deg)), HeadingMode::Autonomous))[1].parse().unwrap();
             prop_assert!((0.0..360.0).contains(&shown));
             let off = (shown - deg + 180.0).rem_euclid(360.0) - 180.0;
             // Half a digit, and the single precision of 720°.

@@ -243,7 +243,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::nmea;
+    use crate::nmea::{self, Talker};
 
     fn framed(body: &str) -> String {
         let sum = body.bytes().fold(0, |sum, byte| sum ^ byte);
@@ -320,9 +320,9 @@ mod tests {
     /// What the unit says of itself is by dead reckoning, also where the line echoes.
     #[test]
     fn the_unit_does_not_hear_itself() {
-        let own = nmea::vtg(-3.0, 4.0).unwrap();
+        let own = nmea::vtg(Talker::Gp, -3.0, 4.0).unwrap();
         assert_eq!(parse(own.as_bytes()), Err(Refused::NotValid));
-        let own = nmea::gll(0.7, 0.1).unwrap();
+        let own = nmea::gll(Talker::Gp, 0.7, 0.1).unwrap();
         assert_eq!(parse(own.as_bytes()), Err(Refused::Other));
     }
 

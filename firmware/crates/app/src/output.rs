@@ -370,11 +370,12 @@ fn compose(
         // There is room for all of them, see `CYCLE`.
         let _ = bytes.extend_from_slice(sentence.as_bytes());
     };
-    put(&nmea::ths(heading, mode));
-    if let Some(hdt) = heading.filter(|_| good).and_then(nmea::hdt) {
+    let talker = config.talker;
+    put(&nmea::ths(talker, heading, mode));
+    if let Some(hdt) = heading.filter(|_| good).and_then(|heading| nmea::hdt(talker, heading)) {
         put(&hdt);
     }
-    put(&nmea::rot(estimate.and_then(|_| turn.get())));
+    put(&nmea::rot(talker, estimate.and_then(|_| turn.get())));
     put(&nmea::pashr(
         estimate.map(|estimate| (&estimate.attitude, &estimate.sd)),
         good,
@@ -383,8 +384,8 @@ fn compose(
         .and_then(|at| at.track)
         .filter(|_| mode != HeadingMode::Invalid);
     if let Some(Track { v_n, position }) = track {
-        let place = nmea::gll(position.latitude, position.longitude);
-        let motion = nmea::vtg(v_n.x(), v_n.y());
+        let place = nmea::gll(talker, position.latitude, position.longitude);
+        let motion = nmea::vtg(talker, v_n.x(), v_n.y());
         place.iter().chain(&motion).for_each(put);
     }
     bytes

@@ -13,7 +13,7 @@ use heapless::Vec;
 
 use crate::command::Command;
 use crate::log::Level;
-use crate::nmea::{Line, Sentence};
+use crate::nmea::{Line, Sentence, Talker};
 use crate::nmea_in::{self, Fix};
 use crate::settings::{Group, Invalid, Position, Settings, Source};
 
@@ -30,7 +30,7 @@ pub enum Request {
     Version,
     /// The settings.
     Show,
-    /// A setting, from now on.
+    /// A setting, from now on: a number, or the place of a word among those it may be.
     Set(&'static Setting, f32),
     /// To keep the settings.
     Save,
@@ -58,31 +58,49 @@ pub struct Setting {
     /// With what it is saved, and checked.
     pub group: Group,
     /// Digits behind the point.
-    pub(super) decimals: usize,
-    field: for<'a> fn(&'a mut Settings) -> Field<'a>,
+    decimals: usize,
+    field: Field,
 }
 
-/// Where a value is kept.
-enum Field<'a> {
-    /// In SI units, typed in another one that is so many of them.
-    Scaled(&'a mut f32, f64),
-    Number(&'a mut f32),
-    Count(&'a mut u32),
+/// What a value is, and where it is kept.
+#[derive(Debug, Clone, Copy)]
+enum Field {
+    /// A number in SI units, typed in another one that is so many of them.
+    Scaled(f32, for<'a> fn(&'a mut Settings) -> &'a mut f32),
+    Count(for<'a> fn(&'a mut Settings) -> &'a mut u32),
+    /// A word, by its place in [`Talker::ALL`].
+    Talker,
 }
 
-const fn setting(
+const fn number(
     name: &'static str,
     unit: &'static str,
     group: Group,
     decimals: usize,
-    field: for<'a> fn(&'a mut Settings) -> Field<'a>,
+    scale: f64,
+    at: for<'a> fn(&'a mut Settings) -> &'a mut f32,
 ) -> Setting {
     Setting {
         name,
         unit,
         group,
         decimals,
-        field,
+        field: Field::Scaled(scale as f32, at),
+    }
+}
+
+const fn count(
+    name: &'static str,
+    unit: &'static str,
+    group: Group,
+    at: for<'a> fn(&'a mut Settings) -> &'a mut u32,
+) -> Setting {
+    Setting {
+        name,
+        unit,
+        group,
+        decimals: 0,
+        field: Field::Count(at),
     }
 }
 
@@ -104,71 +122,66 @@ impl PartialEq for Setting {
 
 impl Setting {
     /// All that can be set here. The place is taken up by `align`, the others by `restart`, once saved.
-    pub const ALL: [Self; 18] = [
-        setting("latitude", "deg", Group::Installation, 5, |s| {
-            Field::Scaled(&mut by_hand(s).latitude, DEG)
+    pub const ALL: [Self; 19] = [
+        number("latitude", "deg", Group::Installation, 5, DEG, |s| {
+            &mut by_hand(s).latitude
         }),
-        setting("longitude", "deg", Group::Installation, 5, |s| {
-            Field::Scaled(&mut by_hand(s).longitude, DEG)
+        number("longitude", "deg", Group::Installation, 5, DEG, |s| {
+            &mut by_hand(s).longitude
         }),
-        setting("height", "m", Group::Installation, 1, |s| {
-            Field::Number(&mut by_hand(s).height)
+        number("height", "m", Group::Installation, 1, 1.0, |s| &mut by_hand(s).height),
+        number("mount-heading", "deg", Group::Installation, 3, DEG, |s| {
+            &mut s.installation.mounting.heading
         }),
-        setting("mount-heading", "deg", Group::Installation, 3, |s| {
-            Field::Scaled(&mut s.installation.mounting.heading, DEG)
+        number("mount-pitch", "deg", Group::Installation, 3, DEG, |s| {
+            &mut s.installation.mounting.pitch
         }),
-        setting("mount-pitch", "deg", Group::Installation, 3, |s| {
-            Field::Scaled(&mut s.installation.mounting.pitch, DEG)
+        number("mount-roll", "deg", Group::Installation, 3, DEG, |s| {
+            &mut s.installation.mounting.roll
         }),
-        setting("mount-roll", "deg", Group::Installation, 3, |s| {
-            Field::Scaled(&mut s.installation.mounting.roll, DEG)
+        number("rotor-rate", "deg/s", Group::Motion, 2, DEG, |s| &mut s.motion.rate),
+        number("rotor-travel", "deg", Group::Motion, 1, DEG, |s| &mut s.motion.travel),
+        number("encoder-zero", "deg", Group::Encoder, 3, DEG, |s| &mut s.encoder.zero),
+        number("gyro-arw", "deg/sqrt(h)", Group::Noise, 3, DEG_PER_SQRT_HOUR, |s| {
+            &mut s.noise.angle_random_walk
         }),
-        setting("rotor-rate", "deg/s", Group::Motion, 2, |s| {
-            Field::Scaled(&mut s.motion.rate, DEG)
+        number("gyro-instability", "deg/h", Group::Noise, 2, DEG_PER_HOUR, |s| {
+            &mut s.noise.gyro_instability_sd
         }),
-        setting("rotor-travel", "deg", Group::Motion, 1, |s| {
-            Field::Scaled(&mut s.motion.travel, DEG)
+        number("gyro-bias", "deg/h", Group::Noise, 1, DEG_PER_HOUR, |s| {
+            &mut s.noise.gyro_bias_sd
         }),
-        setting("encoder-zero", "deg", Group::Encoder, 3, |s| {
-            Field::Scaled(&mut s.encoder.zero, DEG)
+        number("gyro-scale", "ppm", Group::Noise, 0, PPM, |s| {
+            &mut s.noise.gyro_scale_factor_sd
         }),
-        setting("gyro-arw", "deg/sqrt(h)", Group::Noise, 3, |s| {
-            Field::Scaled(&mut s.noise.angle_random_walk, DEG_PER_SQRT_HOUR)
+        number("gyro-misalignment", "arcmin", Group::Noise, 2, ARC_MIN, |s| {
+            &mut s.noise.gyro_misalignment_sd
         }),
-        setting("gyro-instability", "deg/h", Group::Noise, 2, |s| {
-            Field::Scaled(&mut s.noise.gyro_instability_sd, DEG_PER_HOUR)
+        number("accel-vrw", "ug/sqrt(Hz)", Group::Noise, 1, MICRO_G_PER_SQRT_HZ, |s| {
+            &mut s.noise.velocity_random_walk
         }),
-        setting("gyro-bias", "deg/h", Group::Noise, 1, |s| {
-            Field::Scaled(&mut s.noise.gyro_bias_sd, DEG_PER_HOUR)
+        number("accel-bias", "ug", Group::Noise, 1, MICRO_G, |s| {
+            &mut s.noise.accel_bias_sd
         }),
-        setting("gyro-scale", "ppm", Group::Noise, 0, |s| {
-            Field::Scaled(&mut s.noise.gyro_scale_factor_sd, PPM)
-        }),
-        setting("gyro-misalignment", "arcmin", Group::Noise, 2, |s| {
-            Field::Scaled(&mut s.noise.gyro_misalignment_sd, ARC_MIN)
-        }),
-        setting("accel-vrw", "ug/sqrt(Hz)", Group::Noise, 1, |s| {
-            Field::Scaled(&mut s.noise.velocity_random_walk, MICRO_G_PER_SQRT_HZ)
-        }),
-        setting("accel-bias", "ug", Group::Noise, 1, |s| {
-            Field::Scaled(&mut s.noise.accel_bias_sd, MICRO_G)
-        }),
-        setting("period", "ms", Group::Output, 0, |s| {
-            Field::Count(&mut s.output.period_ms)
-        }),
-        setting("serial", "", Group::Identity, 0, |s| {
-            Field::Count(&mut s.identity.serial)
-        }),
+        count("period", "ms", Group::Output, |s| &mut s.output.period_ms),
+        Self {
+            name: "talker",
+            unit: "",
+            group: Group::Output,
+            decimals: 0,
+            field: Field::Talker,
+        },
+        count("serial", "", Group::Identity, |s| &mut s.identity.serial),
     ];
 
-    /// Its value, in the unit in which it is typed; of the place, the one to align with.
+    /// Its value, in the unit in which it is typed, or its word's place; of the position, the one to align with.
     pub fn get(&self, settings: &Settings) -> f32 {
         let mut copy = *settings;
-        match (self.field)(&mut copy) {
-            Field::Scaled(value, unit) => *value / unit as f32,
-            Field::Number(value) => *value,
+        match self.field {
+            Field::Scaled(unit, at) => *at(&mut copy) / unit,
             // Below 2²⁴, see its range.
-            Field::Count(count) => *count as f32,
+            Field::Count(at) => *at(&mut copy) as f32,
+            Field::Talker => f32::from(settings.output.talker as u8),
         }
     }
 
@@ -177,18 +190,51 @@ impl Setting {
     /// # Errors
     /// [`Invalid`], where it is out of range.
     pub fn put(&self, mut settings: Settings, value: f32) -> Result<Settings, Invalid> {
-        match (self.field)(&mut settings) {
-            Field::Scaled(number, unit) => *number = value * unit as f32,
-            Field::Number(number) => *number = value,
-            #[expect(
-                clippy::cast_possible_truncation,
-                clippy::cast_sign_loss,
-                reason = "saturates, out of its range"
-            )]
-            Field::Count(count) => *count = if value < 0.0 { u32::MAX } else { value as u32 },
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "saturates, out of its range"
+        )]
+        let count = if value < 0.0 { u32::MAX } else { value as u32 };
+        match self.field {
+            Field::Scaled(unit, at) => *at(&mut settings) = value * unit,
+            Field::Count(at) => *at(&mut settings) = count,
+            Field::Talker => {
+                let talker = Talker::ALL.get(count as usize);
+                settings.output.talker = *talker.ok_or(Invalid::OutOfRange {
+                    name: self.name,
+                    low: 0.0,
+                    high: (Talker::ALL.len() - 1) as f32,
+                })?;
+            }
         }
         settings.validate(self.group)?;
         Ok(settings)
+    }
+
+    /// Its name, value and unit.
+    pub(super) fn tell(&self, settings: &Settings) -> Sentence {
+        let mut line = Line::answer(true);
+        line.words(self.name);
+        line.words(" ");
+        match self.field {
+            Field::Talker => line.words(settings.output.talker.as_str()),
+            _ => line.decimal(self.get(settings), self.decimals),
+        }
+        line.words(" ");
+        line.words(self.unit);
+        line.end()
+    }
+
+    /// What is typed for it, as a value.
+    fn read(&self, typed: &[u8]) -> Result<f32, LineError> {
+        match self.field {
+            Field::Talker => {
+                let place = Talker::ALL.iter().position(|talker| is(talker.as_str(), typed));
+                place.map(|place| place as f32).ok_or(LineError::Talker)
+            }
+            _ => decimal(typed).ok_or(LineError::Number),
+        }
     }
 
     /// What `invalid` would have taken, in the unit in which it is typed.
@@ -197,9 +243,8 @@ impl Setting {
         line.words("expected ");
         line.words(self.name);
         if let Invalid::OutOfRange { low, high, .. } = invalid {
-            let mut any = Settings::default();
-            let unit = match (self.field)(&mut any) {
-                Field::Scaled(_, unit) => unit as f32,
+            let unit = match self.field {
+                Field::Scaled(unit, _) => unit,
                 _ => 1.0,
             };
             for (word, limit) in [(" from ", low / unit), (" to ", high / unit)] {
@@ -310,6 +355,8 @@ pub enum LineError {
     Setting,
     /// The value is no number.
     Number,
+    /// The value is no [`Talker`].
+    Talker,
     /// No such level.
     Level,
     /// Something else than `clear`.
@@ -328,8 +375,9 @@ impl LineError {
         match self {
             Self::Unknown => "expected a command: help lists them",
             Self::Excess => "expected nothing more on the line",
-            Self::Setting => "expected the name of a setting and a number: show lists them",
+            Self::Setting => "expected the name of a setting and its value: show lists them",
             Self::Number => "expected a number as -12.345",
+            Self::Talker => "expected talker HE, HC, IN or GP",
             Self::Level => "expected log error, warn, info or debug",
             Self::Clear => "expected faults or faults clear",
             Self::Switch => "expected record on or record off",
@@ -348,7 +396,7 @@ impl fmt::Display for LineError {
 impl core::error::Error for LineError {}
 
 /// One copy of them: a constant would be one wherever it is used.
-pub(super) static SETTINGS: [Setting; 18] = Setting::ALL;
+pub(super) static SETTINGS: [Setting; 19] = Setting::ALL;
 
 /// What a line without its end asks for; `None` where it is empty or a remark.
 ///
@@ -378,7 +426,7 @@ pub fn parse(line: &[u8]) -> Result<Option<Request>, LineError> {
             let name = next();
             let setting = SETTINGS.iter().find(|setting| is(setting.name, name));
             let setting = setting.ok_or(LineError::Setting)?;
-            Request::Set(setting, number(next()).ok_or(LineError::Number)?)
+            Request::Set(setting, setting.read(next())?)
         }
         Rest::Level => {
             let name = next();
@@ -413,7 +461,7 @@ fn is(name: &str, typed: &[u8]) -> bool {
 }
 
 /// A decimal number of up to nine digits, without an exponent. Not `str::parse`: that is 8 kB of code.
-fn number(text: &[u8]) -> Option<f32> {
+fn decimal(text: &[u8]) -> Option<f32> {
     let (negative, digits) = match text {
         [b'-', rest @ ..] => (true, rest),
         [b'+', rest @ ..] | rest => (false, rest),
@@ -561,6 +609,24 @@ mod tests {
         assert!((by_name("longitude").get(&set) + 8.5).abs() < 1e-5);
     }
 
+    #[test]
+    fn a_talker_is_a_word() {
+        for talker in Talker::ALL {
+            let typed = std::format!("set talker {}", talker.as_str());
+            let Ok(Some(Request::Set(setting, value))) = parse(typed.as_bytes()) else {
+                panic!("{typed}");
+            };
+            let set = setting.put(Settings::default(), value).unwrap();
+            assert_eq!(set.output.talker, talker);
+            let told = setting.tell(&set);
+            assert!(
+                told.as_str()
+                    .starts_with(&std::format!("$PRNSA,ok,talker {} *", talker.as_str()))
+            );
+            assert!(LineError::Talker.expected().contains(talker.as_str()));
+        }
+    }
+
     /// A unit that knows its place from a receiver keeps it: whatever is entered, the rest of the place is the receiver's.
     #[test]
     fn what_is_not_entered_stays_as_it_was() {
@@ -621,6 +687,21 @@ mod tests {
             ),
             (b"set height 1 m\n", &[Err(E::Excess)]),
             (
+                b"set talker HC\nSet Talker gp\nset talker he\n",
+                &[set("talker", 1.0), set("talker", 3.0), set("talker", 0.0)],
+            ),
+            (
+                b"set talker\nset talker 1\nset talker H\nset talker HCX\nset period HC\nset talker IN HC\n",
+                &[
+                    Err(E::Talker),
+                    Err(E::Talker),
+                    Err(E::Talker),
+                    Err(E::Talker),
+                    Err(E::Number),
+                    Err(E::Excess),
+                ],
+            ),
+            (
                 b"log warn\nlog\nlog all\n",
                 &[Ok(Request::Log(Level::Warn)), Err(E::Level), Err(E::Level)],
             ),
@@ -675,7 +756,7 @@ mod tests {
         #[test]
         fn numbers_are_those_of_the_library(text in "[-+]?[0-9]{0,5}[.]?[0-9]{0,4}") {
             let expected = text.parse::<f32>().ok();
-            let found = number(text.as_bytes());
+            let found = decimal(text.as_bytes());
             prop_assert_eq!(found.is_some(), expected.is_some(), "{}", text);
             if let (Some(found), Some(expected)) = (found, expected) {
                 prop_assert!((found - expected).abs() <= 2e-7 * expected.abs(), "{} {}", found, expected);

@@ -12,7 +12,7 @@
 //! reset                    forget the fault and start again
 //! restart                  start the program anew
 //! show                     the settings
-//! set latitude 40.1        a setting: see [`Setting::ALL`]
+//! set latitude 40.1        a setting: see [`Setting::ALL`]; `set talker HC`
 //! save                     keep settings and calibration
 //! faults                   the last faults and crashes, over resets; `faults clear` forgets them
 //! log info                 error, warn, info or debug
@@ -131,13 +131,7 @@ async fn obey<M: RawMutex, F: NorFlash>(
         Request::Show => {
             let settings = shared.settings();
             for setting in &grammar::SETTINGS {
-                let mut line = Line::answer(true);
-                line.words(setting.name);
-                line.words(" ");
-                line.decimal(setting.get(&settings), setting.decimals);
-                line.words(" ");
-                line.words(setting.unit);
-                port.answer(line.end()).await;
+                port.answer(setting.tell(&settings)).await;
             }
             let calibrated = settings.imu.calibration.is_some();
             (

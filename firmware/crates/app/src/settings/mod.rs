@@ -28,6 +28,7 @@ use nav::fine::FilterConfig;
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 
+use crate::nmea::Talker;
 use crate::rotor::{self, MotorConfig};
 use codec::Codec;
 
@@ -118,9 +119,11 @@ impl Group {
     /// |---|---|---|
     /// | installation | 1 | position only |
     /// | | 2 | and mounting |
+    /// | output | 1 | all but the talker |
+    /// | | 2 | and talker |
     pub const fn version(self) -> u8 {
         match self {
-            Self::Installation => 2,
+            Self::Installation | Self::Output => 2,
             _ => 1,
         }
     }
@@ -216,6 +219,7 @@ pub struct Installation {
 /// | `write_ms` | ms | every write is given up | 80: more than the longest cycle's 50 |
 /// | `estimated_sd` | rad | never E | 10° |
 /// | `rate_tau` | s | the median alone | 0.5 |
+/// | `talker` | | HE | what the readers take |
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OutputConfig {
     /// Time from cycle to cycle; one that an estimate starts may come 10 % earlier.
@@ -230,6 +234,8 @@ pub struct OutputConfig {
     pub estimated_sd: f32,
     /// Time constant of the rate of turn, s.
     pub rate_tau: f32,
+    /// Under which name the sentences go out.
+    pub talker: Talker,
 }
 
 impl Default for OutputConfig {
@@ -241,6 +247,7 @@ impl Default for OutputConfig {
             write_ms: 80,
             estimated_sd: (10.0 * DEG) as f32,
             rate_tau: 0.5,
+            talker: Talker::He,
         }
     }
 }
@@ -457,6 +464,11 @@ impl Settings {
                 c.count("output write_ms", &mut o.write_ms, 40, 1000);
                 c.number("output estimated_sd", &mut o.estimated_sd, 0.0, PI);
                 c.number("output rate_tau", &mut o.rate_tau, 0.0, 60.0);
+                if version >= 2 {
+                    let mut talker = o.talker as u8;
+                    c.byte("output talker", &mut talker, Talker::ALL.len() as u8 - 1);
+                    o.talker = Talker::ALL.get(usize::from(talker)).copied().unwrap_or_default();
+                }
             }
             Group::Imu => self.imu.fields(c),
             Group::Thermal => {

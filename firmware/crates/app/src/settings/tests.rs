@@ -44,6 +44,7 @@ fn unusual() -> Settings {
             write_ms: 100,
             estimated_sd: 0.1,
             rate_tau: 1.0,
+            talker: Talker::Gp,
         },
         imu: Imu {
             calibration: Some(Calibration {
