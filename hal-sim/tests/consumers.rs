@@ -1,16 +1,16 @@
 //! Every sentence of ten minutes of a unit's life, read by another's parser, and its values beside what was estimated.
 //!
-//! The life: it starts and aligns, the motor's driver reports a fault and it recovers, it aligns again, navigates, and is
-//! stopped; in between somebody types. What gpsd makes of the same run is in `.ci/gpsdecode`.
+//! The life: it starts and aligns, the motor's driver reports a fault and it recovers, it aligns again, navigates, is
+//! stopped, and asked to calibrate its gyros on a base that moves; in between somebody types. What gpsd makes of the same run is in `.ci/gpsdecode`.
 #![allow(clippy::unwrap_used, reason = "the helpers of tests are tests")]
 
 mod common;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use frames::units::DEG;
+use frames::units::{DEG, PPM};
 use hal_sim::align::Method;
-use hal_sim::scenario::{FaultAt, FaultKind};
+use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
 use hal_sim::unit_sim::{self, Typed};
 use nmea_kit::NmeaSentence;
 use nmea_kit::nmea::ddmm_to_decimal;
@@ -32,7 +32,7 @@ fn is(shown: Option<impl Into<f64>>, expected: f64, digit: f64, turn: Option<f64
 fn another_parser_reads_every_sentence_of_a_units_life() {
     let mut scenario = paper();
     scenario.place.latitude_deg = -40.0;
-    scenario.run.duration_s = 600.0;
+    scenario.run.duration_s = 630.0;
     scenario.fault.push(FaultAt {
         at_s: 200.0,
         for_s: Some(1.0),
@@ -46,6 +46,7 @@ fn another_parser_reads_every_sentence_of_a_units_life() {
         "5 set latitude 99",
         "380 navigate",
         "560 stop",
+        "562 calibrate",
     ]
     .into_iter()
     .map(|text| text.parse().unwrap())
@@ -57,6 +58,7 @@ fn another_parser_reads_every_sentence_of_a_units_life() {
     let mut counts = BTreeMap::<String, u32>::new();
     let mut modes = BTreeSet::new();
     let (mut indicator, mut previous) = ('V', 0.0);
+    let mut texts = Vec::new();
     let (mut indicators, mut answers) = (BTreeSet::new(), [0, 0]);
     for line in &port.lines {
         let text = core::str::from_utf8(&line.bytes).unwrap();
@@ -155,6 +157,10 @@ fn another_parser_reads_every_sentence_of_a_units_life() {
                     is(vtg.course_true, east.atan2(north) / DEG, 0.01, Some(360.0), text);
                 }
             }
+            NmeaSentence::Txt(txt) => {
+                assert_eq!((txt.num_msg, txt.msg_num), (Some(1), Some(1)), "{text}");
+                texts.push((txt.msg_type, txt.text));
+            }
             NmeaSentence::Unknown { sentence_type, fields } if sentence_type == "PRNST" => {
                 assert_eq!(fields.len(), 8, "{text}");
                 let up: f64 = fields[0].parse().unwrap();
@@ -186,15 +192,18 @@ fn another_parser_reads_every_sentence_of_a_units_life() {
         "fault",
         "navigating",
         "idle",
+        "calibrating",
     ];
     assert!(modes.iter().all(|mode| all.contains(&mode.as_str())), "{modes:?}");
     for mode in all.iter().skip(1) {
         assert!(modes.contains(*mode), "{mode} in {modes:?}");
     }
     assert!(indicators.contains(&'A') && indicators.contains(&'V'), "{indicators:?}");
-    // Help, the settings with their last line, two that are set or done, and what was no command or out of range.
+    // Help, the settings with their last line, three that are set or done, and what was no command or out of range.
     let (words, settings) = (app::console::WORDS.len(), app::console::Setting::ALL.len());
-    assert_eq!(answers, [2, words + settings + 1 + 3]);
+    assert_eq!(answers, [2, words + settings + 1 + 4]);
+    let failed = "gyros not calibrated: the base moves".to_owned();
+    assert_eq!(texts, [(Some(1), Some(failed))]);
     let count = |name: &str| counts.get(name).copied().unwrap_or_default();
     assert_eq!((count("THS"), count("THS")), (count("ROT"), count("PASHR")));
     assert!(
@@ -203,4 +212,45 @@ fn another_parser_reads_every_sentence_of_a_units_life() {
     );
     // 180 s of navigation.
     assert!(count("GLL") > 1800 && count("GLL") == count("VTG"), "{counts:?}");
+}
+
+/// A calibration that succeeds is told once, as the talker that was set, in the figures that the unit goes on with, and
+/// before the status says that it has ended.
+#[test]
+fn another_parser_reads_what_a_calibration_found() {
+    for (typed, used) in [
+        (&["2 set talker IN", "3 save", "4 restart", "150 calibrate"][..], "used"),
+        (
+            &["2 set talker IN", "3 save", "4 restart", "8 stop", "9 calibrate"],
+            "not used",
+        ),
+    ] {
+        let mut scenario = Scenario::builtin("static").unwrap();
+        scenario.imu.gyro_scale_factor_sd_ppm = 1000.0;
+        scenario.run.duration_s = 300.0;
+        let typed: Vec<Typed> = typed.iter().map(|text| text.parse().unwrap()).collect();
+        let mut port = Port::default();
+        let result = unit_sim::run_session(&scenario, 2, Method::Robust, &typed, &mut port).unwrap();
+        assert_eq!(result.state, "idle");
+        let found = result.settings.imu.calibration.unwrap();
+        let (mut texts, mut modes) = (Vec::new(), Vec::new());
+        for line in &port.lines {
+            let frame = nmea_kit::parse_frame(core::str::from_utf8(&line.bytes).unwrap()).unwrap();
+            match NmeaSentence::parse(&frame) {
+                NmeaSentence::Txt(txt) => {
+                    assert_eq!((frame.talker, modes.last()), ("IN", Some(&"calibrating".to_owned())));
+                    texts.push((txt.msg_type, txt.text.unwrap()));
+                }
+                NmeaSentence::Unknown { sentence_type, fields } if sentence_type == "PRNST" => {
+                    modes.push(fields[1].clone());
+                }
+                _ => {}
+            }
+        }
+        assert_eq!(modes.last().map(String::as_str), Some("idle"));
+        let [scale, sd] = [found.s_z, found.column_sd].map(|x| f64::from(x) / PPM);
+        assert!(scale.abs() > 100.0 && sd < 100.0, "{scale} {sd}");
+        let expected = format!("gyros calibrated: z scale {scale:.0} sd {sd:.0} ppm - biases {used}");
+        assert_eq!(texts, [(Some(2), expected)]);
+    }
 }

@@ -27,11 +27,14 @@ impl Drop for Unit {
     }
 }
 
-fn serve(at: &str, speed: &str, arguments: &[&str]) -> Unit {
+fn serve(at: &str, speed: &str) -> Unit {
+    serve_in("static", at, speed)
+}
+
+fn serve_in(scenario: &str, at: &str, speed: &str) -> Unit {
     let mut process = hal_sim()
-        .args(["--quiet", "unit", "--scenario", "static", "--log-level", "off"])
+        .args(["--quiet", "unit", "--scenario", scenario, "--log-level", "off"])
         .args(["--serve", at, "--speed", speed])
-        .args(arguments)
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
         .spawn()
@@ -65,7 +68,7 @@ fn text(bytes: &[u8]) -> String {
 
 #[test]
 fn commands_are_answered_over_a_socket() {
-    let unit = serve("tcp:127.0.0.1:0", "10", &[]);
+    let unit = serve("tcp:127.0.0.1:0", "10");
     let found = link(
         &unit,
         &[
@@ -126,7 +129,7 @@ fn commands_are_answered_over_a_socket() {
 fn what_a_unit_sends_is_told_and_recorded() {
     let dir = TempDir::new().unwrap();
     let record = dir.path().join("run.nmea");
-    let unit = serve("tcp:127.0.0.1:0", "20", &[]);
+    let unit = serve("tcp:127.0.0.1:0", "20");
     let found = link(&unit, &["--seconds", "4", "--record", record.to_str().unwrap()]);
     assert_eq!(found.status.code(), Some(0), "{found:?}");
     let told = text(&found.stdout);
@@ -148,21 +151,41 @@ fn what_a_unit_sends_is_told_and_recorded() {
 
 #[test]
 fn a_calibration_is_followed_to_its_end() {
-    let unit = serve("tcp:127.0.0.1:0", "40", &[]);
+    let unit = serve("tcp:127.0.0.1:0", "40");
     let early = link(&unit, &["--send", "calibrate"]);
     assert_eq!(early.status.code(), Some(1), "{early:?}");
     let found = link(&unit, &["--send", "stop", "--send", "calibrate", "--send", "save"]);
     assert_eq!(found.status.code(), Some(0), "{found:?}");
-    assert_eq!(
-        text(&found.stdout),
-        "the rotor stops\ncalibrating: keep the base still for 3 minutes\ngyros calibrated\nsaved\n"
+    let said = text(&found.stdout);
+    let lines: Vec<&str> = said.lines().collect();
+    let ["the rotor stops", calibrating, end, "saved"] = lines[..] else {
+        panic!("{said}")
+    };
+    assert_eq!(calibrating, "calibrating: keep the base still for 3 minutes");
+    assert!(
+        end.starts_with("gyros calibrated: z scale ") && end.ends_with(" ppm - biases not used"),
+        "{end}"
     );
+}
+
+/// The unit says why, and what was to follow is not sent.
+#[test]
+fn a_calibration_that_fails_says_why() {
+    let unit = serve_in("paper-sim", "tcp:127.0.0.1:0", "40");
+    thread::sleep(Duration::from_secs(1));
+    let found = link(&unit, &["--send", "stop", "--send", "calibrate", "--send", "save"]);
+    assert_eq!(found.status.code(), Some(1), "{found:?}");
+    assert_eq!(
+        text(&found.stderr).trim(),
+        "error: calibrate: gyros not calibrated: the base moves: keep the base still and try again"
+    );
+    assert!(!text(&found.stdout).contains("saved"), "{found:?}");
 }
 
 #[cfg(target_os = "linux")]
 #[test]
 fn a_pty_is_a_serial_port() {
-    let unit = serve("pty", "1", &[]);
+    let unit = serve("pty", "1");
     assert!(unit.name.starts_with("/dev/"), "{}", unit.name);
     for _ in 0..2 {
         let found = link(&unit, &["--send", "version", "--send", "log warn"]);
@@ -234,7 +257,7 @@ fn what_cannot_be_linked_is_bad_input() {
 /// As any program that reads NMEA 0183 over TCP would do it: one that comes later finds the unit as well.
 #[test]
 fn one_client_after_the_other_is_served() {
-    let unit = serve("tcp:127.0.0.1:0", "10", &[]);
+    let unit = serve("tcp:127.0.0.1:0", "10");
     for _ in 0..3 {
         let stream = TcpStream::connect(unit.name.strip_prefix("tcp:").unwrap()).unwrap();
         let mut lines = BufReader::new(stream).lines();

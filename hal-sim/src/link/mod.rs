@@ -37,6 +37,8 @@ const FLUSH: Duration = Duration::from_millis(100);
 const CALIBRATION_BEGINS: Duration = Duration::from_secs(30);
 /// Longest calibration there is, with some room.
 const CALIBRATION: Duration = Duration::from_secs(300);
+/// How the unit's message begins where a calibration has succeeded, and where it has failed.
+const CALIBRATED: [&str; 2] = ["gyros calibrated", "gyros not calibrated"];
 
 /// Why a link ended.
 #[derive(Debug)]
@@ -293,6 +295,7 @@ fn tell(link: &mut Link, end: Option<Instant>) -> Result<(), LinkError> {
             let line = match heard {
                 Heard::Status => screen::line(monitor, begun.elapsed().as_secs_f64()),
                 Heard::Answer { ok, text } => screen::answer(ok, &text),
+                Heard::Text(text) => text,
                 Heard::Other => return,
             };
             // Whoever read it has gone: enough.
@@ -332,7 +335,7 @@ pub fn send(link: &mut Link, lines: &[String], timeout: Duration) -> Result<(), 
             let _ = writeln!(io::stdout(), "{answer}");
         }
         if matches!(request, Ok(Some(Request::Unit(app::command::Command::Calibrate)))) {
-            let text = calibration(link, timeout)?;
+            let text = calibration(link)?;
             let _ = writeln!(io::stdout(), "{text}");
         }
     }
@@ -422,46 +425,51 @@ fn status(link: &mut Link, line: &str, timeout: Duration) -> Result<String, Link
     told.ok_or_else(|| no_answer(link, line, timeout, before))
 }
 
-/// Follows a calibration to its end; what has come of it.
-fn calibration(link: &mut Link, timeout: Duration) -> Result<String, LinkError> {
+/// Follows a calibration to its end; what the unit says has come of it.
+fn calibration(link: &mut Link) -> Result<String, LinkError> {
     let shown = indicatif::ProgressBar::new(screen::CALIBRATION_S as u64);
     if let Ok(style) = indicatif::ProgressStyle::with_template("{bar:40} {pos}/{len} s, {msg}") {
         shown.set_style(style);
     }
     let (mut until, mut begun) = (Instant::now() + CALIBRATION_BEGINS, false);
     let mut ended = None;
-    while ended.is_none() {
+    let end = loop {
+        if let Some(end) = ended.take() {
+            break end;
+        }
         if Instant::now() >= until {
             let why = if begun { "it does not end" } else { "it does not begin" };
             return Err(LinkError::NotCalibrated(why.to_owned()));
         }
-        link.listen(until, &mut |heard, monitor| {
-            let (Heard::Status, Some(status)) = (&heard, monitor.status()) else {
-                return;
-            };
-            if status.mode == "calibrating" {
-                if !begun {
-                    until = Instant::now() + CALIBRATION;
-                }
-                begun = true;
-                shown.set_position(status.mode_s as u64);
-            } else if begun {
-                ended.get_or_insert_with(|| status.mode.clone());
+        let [good, bad] = CALIBRATED;
+        link.listen(until, &mut |heard, monitor| match (heard, monitor.status()) {
+            (Heard::Text(text), _) if text.starts_with(good) => {
+                ended.get_or_insert(Ok(text));
             }
-            shown.set_message(status.mode.clone());
+            (Heard::Text(text), _) if text.starts_with(bad) => {
+                ended.get_or_insert(Err(text));
+            }
+            (Heard::Status, Some(status)) => {
+                if status.mode == "calibrating" {
+                    if !begun {
+                        until = Instant::now() + CALIBRATION;
+                    }
+                    begun = true;
+                    shown.set_position(status.mode_s as u64);
+                } else if begun {
+                    // The text comes before the mode.
+                    ended.get_or_insert_with(|| {
+                        Err(match status.mode.as_str() {
+                            "fault" => "the unit found a fault".to_owned(),
+                            mode => format!("it was broken off, the unit is in mode {mode}"),
+                        })
+                    });
+                }
+                shown.set_message(status.mode.clone());
+            }
+            _ => {}
         })?;
-    }
+    };
     shown.finish_and_clear();
-    if ended.as_deref() == Some("fault") {
-        return Err(LinkError::NotCalibrated("the unit found a fault".to_owned()));
-    }
-    // The last line of the settings says whether there is a calibration.
-    let last = asked(link, "show", Several::Settings, timeout)?
-        .pop()
-        .unwrap_or_default();
-    if last == "gyros calibrated" {
-        Ok(last)
-    } else {
-        Err(LinkError::NotCalibrated(last))
-    }
+    end.map_err(LinkError::NotCalibrated)
 }

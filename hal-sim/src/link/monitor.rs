@@ -26,6 +26,8 @@ pub enum Heard {
         /// In its words.
         text: String,
     },
+    /// A message that nobody has asked for: TXT.
+    Text(String),
     /// A status sentence: the end of a cycle.
     Status,
     /// Another sentence.
@@ -194,17 +196,20 @@ impl Monitor {
         let fields: Vec<&str> = body.split(',').collect();
         let field = |n: usize| fields.get(n).copied().unwrap_or_default();
         let number = |n: usize| field(n).parse().ok().filter(|value: &f64| value.is_finite());
+        // A text has no commas: it is the rest.
+        let from = |n: usize| {
+            let rest = body.splitn(n + 1, ',').nth(n).unwrap_or_default();
+            rest.trim_end().to_owned()
+        };
         fn at<T>(at_s: f64, value: T) -> Option<Latest<T>> {
             Some(Latest { at_s, value })
         }
         // The talker is not looked at: who speaks on a line is known.
         match field(0) {
             "PRNSA" => {
-                // An answer has no commas: it is the rest.
-                let text = body.splitn(3, ',').nth(2).unwrap_or_default();
                 return Heard::Answer {
                     ok: field(1) == "ok",
-                    text: text.trim_end().to_owned(),
+                    text: from(2),
                 };
             }
             "PRNST" => {
@@ -243,6 +248,7 @@ impl Monitor {
                         self.speed = at(now_s, km_h / 3.6);
                     }
                 }
+                Some("TXT") => return Heard::Text(from(4)),
                 _ => {}
             },
         }
@@ -400,9 +406,12 @@ mod tests {
                 },
             ]
         );
+        // What the unit says by itself is no answer.
+        let told = heard(&mut monitor, b"$HCTXT,01,01,02,gyros calibrated - or so*0E\r\n", 0.0);
+        assert_eq!(told, [Heard::Text("gyros calibrated - or so".to_owned())]);
         heard(&mut monitor, b"$PRNST,9.00,fault,3,,,driver,R,*49\r\n", 0.0);
         let found = monitor.counts();
-        assert_eq!((found.sentences, found.checksum), (3, 0), "{found:?}");
+        assert_eq!((found.sentences, found.checksum), (4, 0), "{found:?}");
         assert_eq!(monitor.status().unwrap().fault, Some(("driver".to_owned(), false)));
     }
 

@@ -16,19 +16,22 @@ const RADIUS: i32 = 6;
 /// Columns from the dial to the values.
 const GAP: &str = "    ";
 
-/// The latest answers.
+/// The latest answers and messages.
 #[derive(Debug, Default)]
 pub struct Answers(VecDeque<String>);
 
 impl Answers {
     /// Keeps it, if it is one.
     pub fn take(&mut self, heard: &Heard) {
-        if let Heard::Answer { ok, text } = heard {
-            if self.0.len() == ANSWERS {
-                self.0.pop_front();
-            }
-            self.0.push_back(answer(*ok, text));
+        let line = match heard {
+            Heard::Answer { ok, text } => answer(*ok, text),
+            Heard::Text(text) => text.clone(),
+            Heard::Status | Heard::Other => return,
+        };
+        if self.0.len() == ANSWERS {
+            self.0.pop_front();
         }
+        self.0.push_back(line);
     }
 }
 
@@ -306,8 +309,10 @@ mod tests {
             });
             assert_eq!(picture("unit", &monitor, &answers, None, 1.0).len(), height);
         }
+        answers.take(&Heard::Text("gyros calibrated".to_owned()));
         let shown = picture("unit", &monitor, &answers, Some(Path::new("run.bin")), 1.1).join("\n");
         for part in [
+            "gyros calibrated",
             "90.00°  valid  1σ 0.468°",
             "-4.99°",
             "aligned for 115 s",

@@ -209,10 +209,13 @@ impl GyrosCalibrated {
     }
 }
 
+/// How a calibration of the gyros has ended.
+pub type CalibrationEnd = Result<GyrosCalibrated, CalibrationFailure>;
+
 /// Why the gyros are not calibrated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum CalibrationFailure {
-    /// The rotor moved while it should have stood.
+    /// The rotor moved while it should rest.
     RotorMoved,
     /// The base moves.
     BaseMoved {
@@ -235,15 +238,25 @@ impl From<CalibrationError> for CalibrationFailure {
     }
 }
 
+impl CalibrationFailure {
+    /// The same without figures and advice, as long as a sentence of NMEA 0183 has room for.
+    pub const fn brief(self) -> &'static str {
+        match self {
+            Self::RotorMoved => "the rotor moved while it should rest",
+            Self::BaseMoved { .. } => "the base moves",
+            Self::Refused => "samples or figures that cannot be",
+            Self::Timeout => "it took too long",
+        }
+    }
+}
+
 wording!(CalibrationFailure, |self, say| {
-    match *self {
-        Self::RotorMoved => say!("the rotor moved while it should have stood"),
-        Self::BaseMoved { scatter } => say!(
-            "the base moves, residuals have {} times their variance: set the unit on firm ground",
+    say!("{}", self.brief());
+    if let Self::BaseMoved { scatter } = *self {
+        say!(
+            ", residuals have {} times their variance: set the unit on firm ground",
             figure(scatter, 1)
-        ),
-        Self::Refused => say!("samples or figures that cannot be"),
-        Self::Timeout => say!("it took too long"),
+        );
     }
 });
 
@@ -499,6 +512,15 @@ impl Event {
             // Where nothing happens nobody wants to read it.
             Self::Report(report) if matches!(report.mode, ModeName::Idle | ModeName::Fault) => Level::Debug,
             _ => Level::Info,
+        }
+    }
+
+    /// How a calibration of the gyros has ended, where that is what it tells.
+    pub(crate) const fn calibration_end(&self) -> Option<CalibrationEnd> {
+        match *self {
+            Self::GyrosCalibrated(found) => Some(Ok(found)),
+            Self::NotCalibrated(failure) => Some(Err(failure)),
+            _ => None,
         }
     }
 

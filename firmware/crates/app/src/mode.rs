@@ -23,7 +23,7 @@ use drivers::{Error, Identity};
 
 use crate::command::{Command, ModeName};
 use crate::fault::{Fault, Response};
-use crate::log::{Alignment, CalibrationFailure, Event, GyrosCalibrated, NavigationEnd};
+use crate::log::{Alignment, CalibrationEnd, CalibrationFailure, Event, NavigationEnd};
 use crate::rotor;
 use crate::selftest::{Failure, Found};
 
@@ -83,7 +83,7 @@ pub enum Input {
     /// The gyros have been watched at rest for long enough.
     Rested,
     /// The gyros are calibrated, or not.
-    GyrosCalibrated(Result<GyrosCalibrated, CalibrationFailure>),
+    GyrosCalibrated(CalibrationEnd),
     /// Navigation cannot go on.
     NavigationEnded(NavigationEnd),
     /// A fault was found.
@@ -622,6 +622,7 @@ mod tests {
     use drivers::mt6835::Warnings;
 
     use super::*;
+    use crate::log::GyrosCalibrated;
 
     const IDENTITY: Identity = Identity {
         product: 16495,

@@ -8,6 +8,7 @@
 //! | `$PASHR` | heading, roll, pitch, their σ | all empty but the two flags, as in the layout's source |
 //! | `$--GLL` | place by dead reckoning | not sent |
 //! | `$--VTG` | course and speed by dead reckoning | not sent |
+//! | `$--TXT` | how a calibration of the gyros ended | |
 //! | `$PRNST` | the unit's own: mode, σ, fault, rotor | fields empty one by one |
 //! | `$PRNSA` | the unit's own: answer to a command | |
 //!
@@ -288,6 +289,19 @@ pub fn status(report: &Report) -> Sentence {
     line.end()
 }
 
+/// What kind of a text TXT has. The numbers are not the standard's, but common: gpsd's and some receivers'.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum TextKind {
+    /// 01: something is not as it should be.
+    Warning,
+    /// 02: good to know.
+    Notice,
+}
+
+/// Room for the text of TXT, bytes: as much as the standard allows.
+pub const TEXT: usize = BODY - "$--TXT,01,01,01,".len();
+
 /// Room for the text of an answer, bytes.
 pub const ANSWER: usize = BODY - "$PRNSA,error,".len();
 
@@ -348,6 +362,16 @@ impl Line {
         line.comma();
         line.text(if ok { "ok" } else { "error" });
         line.comma();
+        line
+    }
+
+    /// The beginning of a TXT that is the only one of its message; [`words`](Self::words) and numbers follow.
+    pub(crate) fn message(talker: Talker, kind: TextKind) -> Self {
+        let mut line = Self::of(talker, "TXT,01,01,");
+        line.text(match kind {
+            TextKind::Warning => "01,",
+            TextKind::Notice => "02,",
+        });
         line
     }
 
@@ -547,6 +571,23 @@ mod tests {
         }
         // The check sum by another program.
         assert_eq!(hdt(Talker::Hc, rad(274.07)).unwrap().as_str(), "$HCHDT,274.07,T*1F\r\n");
+    }
+
+    #[test]
+    fn a_message_keeps_out_what_is_reserved() {
+        let of = |kind, text: &str| {
+            let mut line = Line::message(Talker::Hc, kind);
+            line.words(text);
+            fields(&line.end())
+        };
+        assert_eq!(
+            of(TextKind::Notice, "a,b\r\n$c"),
+            ["HCTXT", "01", "01", "02", "a b   c"]
+        );
+        let long = of(TextKind::Warning, &"x".repeat(100));
+        assert_eq!((long[3].as_str(), long[4].len()), ("01", TEXT));
+        // IEC 61162-1.
+        assert_eq!(TEXT, 61);
     }
 
     #[test]

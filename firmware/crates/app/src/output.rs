@@ -5,6 +5,9 @@
 //! its way through the task, and where the base swings by 10 °/s the 50 ms to the next estimate would be half a degree.
 //! Without estimates it begins by the clock.
 //!
+//! How a calibration of the gyros ended is told by TXT, before the cycle whose status shows that it has ended: once, and
+//! again only where the line did not take it.
+//!
 //! # When a heading is valid
 //!
 //! | THS | the unit | its estimate | HDT | PASHR |
@@ -29,7 +32,7 @@
 //! # Budget
 //!
 //! Seven sentences of 82 bytes and two for a line's end are 576 bytes, 50 % of the 1152 that 115200 baud carry in
-//! 100 ms. In fact it is 120, and 165 once a second; 80 more while the unit navigates.
+//! 100 ms. In fact it is 120, and 165 once a second; 80 more while the unit navigates, and 80 with a TXT, once.
 //!
 //! With the record it is 8.5 kB a second more, 74 % of the line: see [`record`].
 //!
@@ -48,8 +51,9 @@ use nav::aligner::{Estimate, NotReady};
 use nav::navigator::Track;
 
 use crate::command::ModeName;
+use crate::log::CalibrationEnd;
 use crate::mode::Status;
-use crate::nmea::{self, HeadingMode, LONGEST, Report, Sentence};
+use crate::nmea::{self, HeadingMode, LONGEST, Line, Report, Sentence, Talker, TextKind};
 use crate::record;
 use crate::settings::OutputConfig;
 use crate::shared::{Navigation, Shared};
@@ -229,16 +233,16 @@ struct Output<'a, M: RawMutex, W> {
 }
 
 impl<M: RawMutex, W: Write> Output<'_, M, W> {
-    async fn write(&mut self, bytes: &[u8]) {
+    /// Whether all of it went.
+    async fn write(&mut self, bytes: &[u8]) -> bool {
         if self.broken && !self.put(LINE_END).await {
-            return;
+            return false;
         }
-        self.broken = false;
-        if self.put(bytes).await {
+        self.broken = !self.put(bytes).await;
+        if !self.broken {
             self.port.written.fetch_add(1, Ordering::Relaxed);
-        } else {
-            self.broken = true;
         }
+        !self.broken
     }
 
     /// Puts the status into the record, where it is another one.
@@ -293,6 +297,7 @@ pub async fn run<M: RawMutex, W: Write>(shared: &Shared<M>, port: &Port<M>, tx: 
     let mut turn = TurnRate::new(config.rate_tau);
     let mut navigation: Option<Navigation> = None;
     let mut shown: Option<ModeName> = None;
+    let mut calibration: Option<CalibrationEnd> = None;
     let mut cycles: u32 = 0;
     let mut last = Instant::now();
     loop {
@@ -330,6 +335,12 @@ pub async fn run<M: RawMutex, W: Write>(shared: &Shared<M>, port: &Port<M>, tx: 
                     due
                 }
             }
+        }
+        calibration = shared.calibration.try_take().or(calibration);
+        if let Some(end) = &calibration
+            && output.write(calibrated(config.talker, end).as_bytes()).await
+        {
+            calibration = None;
         }
         let now_us = Instant::now().as_micros();
         let status = shared.status.try_get();
@@ -391,6 +402,29 @@ fn compose(
     bytes
 }
 
+/// How a calibration of the gyros ended.
+#[inline(never)]
+fn calibrated(talker: Talker, end: &CalibrationEnd) -> Sentence {
+    match end {
+        Ok(found) => {
+            let mut line = Line::message(talker, TextKind::Notice);
+            line.words("gyros calibrated: z scale ");
+            line.decimal(found.scale_factor_ppm, 0);
+            line.words(" sd ");
+            line.decimal(found.column_sd_ppm, 0);
+            line.words(" ppm - biases ");
+            line.words(if found.biases_used { "used" } else { "not used" });
+            line.end()
+        }
+        Err(failure) => {
+            let mut line = Line::message(talker, TextKind::Warning);
+            line.words("gyros not calibrated: ");
+            line.words(failure.brief());
+            line.end()
+        }
+    }
+}
+
 /// The status sentence. Its σ and its reason are the aligner's, whatever THS makes of them, while the unit aligns.
 fn report<M: RawMutex>(
     shared: &Shared<M>,
@@ -434,6 +468,7 @@ mod tests {
 
     use super::*;
     use crate::fault::Fault;
+    use crate::log::{CalibrationFailure, GyrosCalibrated};
     use crate::settings::Settings;
 
     const D: f32 = DEG as f32;
@@ -708,6 +743,82 @@ mod tests {
             "{text}"
         );
         assert!(text.contains(",fault,1,,,driver,R,*"), "{text}");
+    }
+
+    const FOUND: GyrosCalibrated = GyrosCalibrated {
+        bias_deg_h: [1.0, 2.0, 3.0],
+        biases_used: false,
+        misalignment_arcmin: [0.1, 0.2],
+        scale_factor_ppm: -12_345.4,
+        bias_sd_deg_h: 0.1,
+        column_sd_ppm: 12.6,
+    };
+
+    #[test]
+    fn the_end_of_a_calibration_is_told_once() {
+        const CALIBRATED: &str = "$HETXT,01,01,02,gyros calibrated: z scale -12345 sd 13 ppm - biases not used*";
+        const MOVED: &str = "$HETXT,01,01,01,gyros not calibrated: the rotor moved while it should rest*";
+        let (shared, _, line, mut unit) = bench(49_400);
+        shared.status.sender().send(status(ModeName::Calibrating));
+        run_to(&mut unit, 1_020);
+        shared.calibration.signal(Err(CalibrationFailure::RotorMoved));
+        shared.status.sender().send(status(ModeName::Idle));
+        run_to(&mut unit, 5_000);
+        let text = line.0.borrow().0.clone();
+        assert_eq!(text.matches("TXT").count(), 1);
+        // Before the mode that says that there is no more to come.
+        let (told, idle) = (text.find(MOVED), text.find(",idle,"));
+        assert!(told.is_some() && told < idle, "{text}");
+
+        // A line that takes nothing just then takes it later.
+        for now in [Now::Fails, Now::TakesNothing, Now::Hangs] {
+            line.0.borrow_mut().2 = now;
+            line.0.borrow_mut().0.clear();
+            shared.calibration.signal(Ok(FOUND));
+            let at_ms = unit.now().as_millis();
+            run_to(&mut unit, at_ms + 1_000);
+            assert!(!line.0.borrow().0.contains('*'), "{now:?}");
+            line.0.borrow_mut().2 = Now::Works;
+            run_to(&mut unit, at_ms + 3_000);
+            let text = line.0.borrow().0.clone();
+            assert_eq!(
+                (text.matches(CALIBRATED).count(), text.matches('T').count() > 20),
+                (1, true),
+                "{text}"
+            );
+            assert_eq!(text.matches("*").count(), text.matches("\r\n$").count(), "{text}");
+        }
+    }
+
+    /// With nothing left out, and of each failure what the log says of it.
+    #[test]
+    fn every_end_of_a_calibration_fits_a_sentence() {
+        let text = |end| {
+            let sentence = calibrated(Talker::Gp, &end);
+            let body = sentence.as_str().split('*').next().unwrap_or_default().to_string();
+            let (head, text) = body.split_at(16);
+            assert!(text.len() <= nmea::TEXT);
+            (head.to_string(), text.to_string())
+        };
+        for failure in [
+            CalibrationFailure::RotorMoved,
+            CalibrationFailure::BaseMoved { scatter: 12.0 },
+            CalibrationFailure::Refused,
+            CalibrationFailure::Timeout,
+        ] {
+            let (head, text) = text(Err(failure));
+            assert_eq!(head, "$GPTXT,01,01,01,");
+            let reason = text.strip_prefix("gyros not calibrated: ").unwrap();
+            assert!(failure.to_string().starts_with(reason), "{text}");
+        }
+        let worst = GyrosCalibrated {
+            column_sd_ppm: 999.0,
+            scale_factor_ppm: -50_000.0,
+            ..FOUND
+        };
+        let (head, text) = text(Ok(worst));
+        assert_eq!(head, "$GPTXT,01,01,02,");
+        assert_eq!(text, "gyros calibrated: z scale -50000 sd 999 ppm - biases not used");
     }
 
     #[test]

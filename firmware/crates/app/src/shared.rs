@@ -5,7 +5,7 @@
 //!                 ▼                                                                      │
 //!  edge ─► sampling ──samples──► alignment ─navigation,frames► output              supervisor ─► watchdog
 //!             ▲                      │                       ▲                        ▲  ▲
-//!             │ angle at the edge    │                       └──────── status ────────┘  │
+//!             │ angle at the edge    │                       └── status, calibration ─┘  │
 //!           motor ───────────────────┴──────────────── inputs (and check-ins) ───────────┘
 //! ```
 //!
@@ -29,7 +29,7 @@ use nav::navigator::Track;
 
 use crate::command::Command;
 use crate::fault::{Fault, Task};
-use crate::log::{Event, Level};
+use crate::log::{CalibrationEnd, Event, Level};
 use crate::mode::{Input, Job, Status};
 use crate::nmea_in::Fix;
 use crate::record::Frame;
@@ -161,6 +161,8 @@ pub struct Shared<M: RawMutex> {
     pub(crate) imu_start: Signal<M, ()>,
     pub(crate) encoder_start: Signal<M, ()>,
     pub(crate) job: Signal<M, Job>,
+    /// How the last calibration of the gyros ended, for who has not been told of it yet: the serial line.
+    pub(crate) calibration: Signal<M, CalibrationEnd>,
     /// Estimates.
     pub navigation: Watch<M, Navigation, READERS>,
     /// Mode and faults.
@@ -214,6 +216,7 @@ impl<M: RawMutex> Shared<M> {
             imu_start: Signal::new(),
             encoder_start: Signal::new(),
             job: Signal::new(),
+            calibration: Signal::new(),
             navigation: Watch::new(),
             status: Watch::new(),
             log_level: AtomicU8::new(Level::Debug as u8),

@@ -165,6 +165,11 @@ fn carry_out<M: RawMutex>(shared: &Shared<M>, cutoff: &mut impl Cutoff, action: 
         Action::StartImu => shared.imu_start.signal(()),
         Action::StartEncoder => shared.encoder_start.signal(()),
         Action::Job(job) => shared.job.signal(job),
-        Action::Tell(event) => shared.log(&event),
+        Action::Tell(event) => {
+            if let Some(end) = event.calibration_end() {
+                shared.calibration.signal(end);
+            }
+            shared.log(&event);
+        }
     }
 }
