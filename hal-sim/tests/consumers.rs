@@ -1,7 +1,8 @@
 //! Every sentence of ten minutes of a unit's life, read by another's parser, and its values beside what was estimated.
 //!
 //! The life: it starts and aligns, the motor's driver reports a fault and it recovers, it aligns again, navigates, is
-//! stopped, and asked to calibrate its gyros on a base that moves; in between somebody types. What gpsd makes of the same run is in `.ci/gpsdecode`.
+//! stopped, and asked to calibrate its gyros on a base that moves; in between somebody types. What gpsd makes of such a
+//! run is in `.ci/gpsdecode`.
 #![allow(clippy::unwrap_used, reason = "the helpers of tests are tests")]
 
 mod common;
