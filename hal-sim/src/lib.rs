@@ -19,6 +19,7 @@ pub mod bus;
 pub mod calibrate;
 pub mod config;
 pub mod device;
+mod dial;
 pub mod inspect;
 pub mod link;
 pub mod log;

@@ -8,13 +8,13 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-use frames::units::DEG;
 use log::Level;
 
 use super::defmt::Elf;
 use super::report::count;
 use super::timeline::{EstimateAt, News, Timeline};
 use super::{InspectError, Reader};
+use crate::dial::dial;
 
 /// From one look at a file that does not grow to the next.
 const LOOK: Duration = Duration::from_millis(200);
@@ -24,8 +24,8 @@ const CHUNK: usize = 64 * 1024;
 const SAID: usize = 6;
 /// Width of the screen, characters: what is longer is cut, for a line that wraps would spoil the next drawing.
 const WIDTH: usize = 78;
-/// Rows above and below the dial's centre, and columns beside it: a character is twice as high as it is wide.
-const REACH: (i32, i32) = (4, 9);
+/// Half the dial's height, lines.
+const RADIUS: u8 = 4;
 
 /// The end of a file that grows.
 #[derive(Debug)]
@@ -192,8 +192,12 @@ impl Screen {
         )];
         let estimate = timeline.estimates.last();
         let figures = figures(estimate, timeline);
-        for (dial, figure) in dial(estimate).iter().zip(figures) {
-            rows.push(format!(" {dial}   {figure}"));
+        let valid = matches!(timeline.state(), "aligned" | "navigating");
+        let attitude = estimate.map(|estimate| estimate.attitude);
+        let sd = attitude.map_or(0.0, |attitude| attitude.heading_sd_deg);
+        let card = dial(RADIUS, attitude.map(|attitude| attitude.heading_deg), sd, valid);
+        for (line, figure) in card.iter().zip(figures) {
+            rows.push(format!(" {line}   {figure}"));
         }
         for fault in timeline.faults.iter().rev().take(2) {
             rows.push(format!("fault {:>8.3} s  {}", fault.t_s, fault.words()));
@@ -218,74 +222,13 @@ fn figures(estimate: Option<&EstimateAt>, timeline: &Timeline) -> Vec<String> {
     } else {
         rows.push("no estimate yet".to_owned());
     }
-    rows.resize(2 * REACH.0 as usize + 1, String::new());
+    rows.resize(2 * usize::from(RADIUS) + 1, String::new());
     rows
-}
-
-/// A compass card with a hand: north up, one row of text each.
-fn dial(estimate: Option<&EstimateAt>) -> Vec<String> {
-    let (height, width) = (2 * REACH.0 + 1, 2 * REACH.1 + 1);
-    let mut card = vec![vec![' '; width as usize]; height as usize];
-    let mut put = |bearing_deg: f64, radius: f64, mark: char| {
-        let (sin, cos) = (bearing_deg * DEG).sin_cos();
-        let row = REACH.0 - (f64::from(REACH.0) * radius * cos).round() as i32;
-        let column = REACH.1 + (f64::from(REACH.1) * radius * sin).round() as i32;
-        let cell = card.get_mut(row as usize).and_then(|row| row.get_mut(column as usize));
-        if let Some(cell) = cell {
-            *cell = mark;
-        }
-    };
-    for k in 0..24 {
-        put(15.0 * f64::from(k), 1.0, '·');
-    }
-    for (k, letter) in (0..).zip(['N', 'E', 'S', 'W']) {
-        put(90.0 * f64::from(k), 1.0, letter);
-    }
-    put(0.0, 0.0, '+');
-    if let Some(estimate) = estimate {
-        let heading = estimate.attitude.heading_deg;
-        for k in 1..9 {
-            put(heading, 0.1 * f64::from(k), '*');
-        }
-    }
-    card.into_iter().map(String::from_iter).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::inspect::wording::Attitude;
-
-    fn at(heading_deg: f64) -> EstimateAt {
-        EstimateAt {
-            t_s: 1.0,
-            mode: Some("aligned"),
-            attitude: Attitude {
-                heading_deg,
-                heading_sd_deg: 0.1,
-                pitch_deg: 0.0,
-                roll_deg: 0.0,
-            },
-        }
-    }
-
-    /// The hand points where it should, and the card keeps its size.
-    #[test]
-    fn the_dial_points() {
-        let rows = |heading| -> Vec<Vec<char>> {
-            dial(Some(&at(heading)))
-                .iter()
-                .map(|row| row.chars().collect())
-                .collect()
-        };
-        for (heading, row, column) in [(0.0, 1, 9), (90.0, 4, 15), (180.0, 7, 9), (-90.0, 4, 3), (720.0, 1, 9)] {
-            let rows = rows(heading);
-            assert_eq!(rows[row][column], '*', "{heading}: {rows:?}");
-            assert!(rows.len() == 9 && rows.iter().all(|row| row.len() == 19));
-        }
-        assert!(dial(None).iter().all(|row| !row.contains('*')));
-        let _ = dial(Some(&at(f64::NAN)));
-    }
 
     #[test]
     fn a_screen_goes_over_the_one_before_and_does_not_wrap() {

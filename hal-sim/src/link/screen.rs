@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::path::Path;
 
 use super::monitor::{FRESH_S, Heard, Monitor};
+use crate::dial::dial;
 
 /// About what a calibration takes, s: a minute at rest, four legs of 18 s, and coming to rest.
 pub const CALIBRATION_S: f64 = 135.0;
@@ -11,8 +12,8 @@ pub const CALIBRATION_S: f64 = 135.0;
 pub const CLEAR: &str = "\x1b[2J";
 /// Answers that are shown.
 const ANSWERS: usize = 5;
-/// Half the dial's height, lines; a character is twice as high as wide.
-const RADIUS: i32 = 6;
+/// Half the dial's height, lines.
+const RADIUS: u8 = 6;
 /// Columns from the dial to the values.
 const GAP: &str = "    ";
 
@@ -38,39 +39,6 @@ impl Answers {
 /// An answer for people.
 pub fn answer(ok: bool, text: &str) -> String {
     if ok { text.to_owned() } else { format!("error: {text}") }
-}
-
-/// A compass card: ring, letters, the needle where there is a heading, hollow where that is an estimate only. The part
-/// of the ring within 1σ of it is drawn bold.
-pub fn dial(heading: Option<f64>, sd: f64, valid: bool) -> Vec<String> {
-    let (rows, columns) = ((2 * RADIUS + 1) as usize, (4 * RADIUS + 1) as usize);
-    let mut card = vec![vec![' '; columns]; rows];
-    // Reach 1 is the ring.
-    let mut put = |angle: f64, reach: f64, sign: char| {
-        let (sin, cos) = angle.to_radians().sin_cos();
-        let column = f64::from(2 * RADIUS) * (1.0 + reach * sin);
-        let row = f64::from(RADIUS) * (1.0 - reach * cos);
-        let line = card.get_mut(row.round() as usize);
-        if let Some(place) = line.and_then(|line| line.get_mut(column.round() as usize)) {
-            *place = sign;
-        }
-    };
-    for k in 0..120 {
-        let angle = f64::from(3 * k);
-        let off = heading.map_or(f64::MAX, |heading| (angle - heading + 180.0).rem_euclid(360.0) - 180.0);
-        put(angle, 1.0, if off.abs() <= sd { 'o' } else { '·' });
-    }
-    for (angle, sign) in [(0.0, 'N'), (90.0, 'E'), (180.0, 'S'), (270.0, 'W')] {
-        put(angle, 1.0, sign);
-    }
-    if let Some(heading) = heading {
-        for k in 1..10 {
-            put(heading, 0.08 * f64::from(k), if valid { '•' } else { '◦' });
-        }
-        put(heading, 0.8, if valid { '◆' } else { '◇' });
-    }
-    put(0.0, 0.0, '+');
-    card.into_iter().map(|line| line.into_iter().collect()).collect()
 }
 
 /// A value with its sign and unit, or a dash.
@@ -171,7 +139,7 @@ pub fn picture(name: &str, monitor: &Monitor, answers: &Answers, record: Option<
     }
     let mut picture = vec![title, String::new()];
     let mut values = values(monitor, now_s).into_iter();
-    for line in dial(heading, sd, letter == 'A') {
+    for line in dial(RADIUS, heading, sd, letter == 'A') {
         let beside = values
             .next()
             .map_or(String::new(), |(name, value)| format!("{name:<9}{value}"));
@@ -271,31 +239,6 @@ mod tests {
             monitor.take(line.as_bytes(), 1.0, &mut |_, _| ());
         }
         monitor
-    }
-
-    #[test]
-    fn the_needle_points_where_the_heading_is() {
-        let north = dial(Some(0.0), 0.0, true);
-        assert_eq!(north.len(), 13);
-        assert!(north.iter().all(|line| line.chars().count() == 25));
-        let tip = |card: &[String], sign: char| {
-            let found = card.iter().enumerate().find_map(|(row, line)| {
-                let column = line.chars().position(|c| c == sign)?;
-                Some((row, column))
-            });
-            found.unwrap_or_else(|| panic!("{card:#?}"))
-        };
-        let (row, column) = tip(&north, '◆');
-        assert!(row < 3 && column == 12, "{row} {column}");
-        let (row, column) = tip(&dial(Some(90.0), 0.0, true), '◆');
-        assert!(row == 6 && column > 20, "{row} {column}");
-        let (row, column) = tip(&dial(Some(225.0), 5.0, false), '◇');
-        assert!(row > 8 && column < 6, "{row} {column}");
-        // Without a heading there is no needle to be taken for one.
-        assert!(!dial(None, 5.0, false).concat().contains(['◆', '◇', '•', '◦', 'o']));
-        for wild in [f64::MAX, -1e300, f64::NAN, f64::INFINITY] {
-            assert_eq!(dial(Some(wild), wild, true).len(), 13);
-        }
     }
 
     #[test]
