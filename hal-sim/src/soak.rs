@@ -24,6 +24,7 @@
 //! - No other fault is found: none without a cause.
 //! - Once nothing is broken any more and the unit starts again it is aligned within [`LIMIT`] times the time that it
 //!   took at first, unless somebody tells it something else meanwhile.
+//! - A unit that rests, or took a `stop`, does not turn before somebody tells it to, or supply or reset line start it.
 //! - Every line typed on a sound serial line is answered within 2 s; what comes from it has the right check sum.
 //! - The cable is never wound past what it bears.
 //! - The memory of the process does not grow.
@@ -53,6 +54,8 @@ pub const LIMIT: f64 = 1.5;
 const ANSWER_US: u64 = 2_000_000;
 /// From one look to the next, µs.
 const STEP_US: u64 = 100_000;
+/// Instants as close as this are one, µs: which of two came first cannot be seen from outside.
+const AT_ONCE_US: u64 = STEP_US;
 /// So long after something was mended a fault may still be of it, µs: the home switch shows at its next passing.
 const AFTER_US: u64 = 25_000_000;
 /// Longest wait for a retry, µs: that of over-temperature, and the self-test's timeout.
@@ -536,6 +539,10 @@ struct Soak {
     /// Since when the unit starts again, with nothing broken, or aligns again.
     starting: Option<Starting>,
     was: Option<(ModeName, u64)>,
+    /// When somebody last told it to turn, or supply or reset line did.
+    told_us: u64,
+    /// Since when it rests, or has taken a `stop`.
+    rests_us: Option<u64>,
     next_fault_us: Option<u64>,
     next_line_us: u64,
     next_noise_us: u64,
@@ -622,6 +629,8 @@ impl Soak {
             disturbed_us: 0,
             starting: None,
             was: None,
+            told_us: 0,
+            rests_us: None,
             next_fault_us: None,
             next_line_us: 0,
             next_noise_us: 0,
@@ -711,6 +720,9 @@ impl Soak {
 
     fn was_reset(&mut self, cause: ResetCause) {
         let now_us = self.session.now_us();
+        if matches!(cause, ResetCause::PowerOn | ResetCause::Pin) {
+            self.told_us = now_us;
+        }
         self.received = 0;
         self.asked = None;
         self.help = None;
@@ -854,6 +866,16 @@ impl Soak {
     fn entered(&mut self, mode: ModeName, since_us: u64) {
         let sound = self.broken.is_empty() && self.looping.is_none();
         let from_us = since_us.max(self.disturbed_us);
+        match (mode, self.rests_us) {
+            (ModeName::Idle, _) => self.rests_us = Some(since_us),
+            (ModeName::Homing | ModeName::Coarse | ModeName::Calibrating, Some(rests_us)) => {
+                if self.told_us + AT_ONCE_US < rests_us && since_us > rests_us + AT_ONCE_US {
+                    self.fail(format!("it rested, and is in mode {mode} without having been told"));
+                }
+                self.rests_us = None;
+            }
+            _ => {}
+        }
         match mode {
             ModeName::SelfTest => {
                 self.starting = sound.then_some(Starting { from_us, whole: true });
@@ -902,22 +924,26 @@ impl Soak {
             self.heard.answers.clear();
             return;
         };
-        let answered = match asked.expected {
+        let answer = match asked.expected {
             Answer::Status => (self.heard.status > asked.status).then_some(true),
-            Answer::Any => self.heard.answers.pop_front().map(|_| true),
-            Answer::Error => self.heard.answers.pop_front().map(|ok| !ok),
+            Answer::Any | Answer::Error => self.heard.answers.pop_front(),
         };
-        let Asked { text, at_us, .. } = asked.clone();
-        match answered {
+        let Asked {
+            text, at_us, expected, ..
+        } = asked.clone();
+        match answer {
             None if now_us < at_us + ANSWER_US => return,
             None => {
                 self.report.serial.due += 1;
                 self.fail(format!("{text:?} was not answered"));
             }
-            Some(right) => {
+            Some(taken) => {
                 self.report.serial.due += 1;
                 self.report.serial.answered += 1;
-                if !right {
+                if text == "stop" && taken {
+                    self.rests_us = Some(at_us);
+                }
+                if taken && expected == Answer::Error {
                     self.fail(format!("{text:?} was taken"));
                 }
             }
@@ -1110,6 +1136,9 @@ impl Soak {
     fn type_line(&mut self, text: &str, expected: Answer) {
         self.report.serial.lines += 1;
         self.heard.answers.clear();
+        if ["align", "calibrate", "reset", "restart"].contains(&text) {
+            self.told_us = self.session.now_us();
+        }
         self.send(text.as_bytes());
         self.send(b"\r\n");
         if self.noisy_until_us.is_none() {

@@ -92,7 +92,7 @@ impl ModeName {
     }
 
     /// Whether the modes take a command in this mode; elsewhere they refuse it. But for a fault that only a reset of the
-    /// unit ends: it takes nothing, and is about to get one.
+    /// unit ends: it takes a stop only, and is about to get one.
     pub const fn takes(self, command: Command) -> bool {
         match command {
             Command::ResetFault => matches!(self, Self::Fault),

@@ -611,8 +611,8 @@ fn command_in(mode: Mode, command: Command, goal: &mut Goal, a: &mut Actions) ->
 /// Whether a command makes sense in a mode.
 fn takes(mode: Mode, command: Command) -> bool {
     match mode {
-        // The reset that such a fault waits for is about to come.
-        Mode::Fault(Faulted { fault, .. }) if fault.rule().response == Response::Reset => false,
+        // The reset that such a fault waits for is about to come; the start after it is to know of a stop.
+        Mode::Fault(Faulted { fault, .. }) if fault.rule().response == Response::Reset => command == Command::Stop,
         _ => mode.name().takes(command),
     }
 }
@@ -1046,7 +1046,10 @@ mod tests {
         };
         let (state, _) = in_mode(Mode::Fine).step(&Input::Fault(overrun), 1);
         assert!(state.wants_reset());
-        let (state, _) = state.step(&Input::Command(Command::ResetFault), 2);
-        assert!(state.wants_reset());
+        for command in Command::ALL {
+            let (state, _) = state.step(&Input::Command(command), 2);
+            assert!(state.wants_reset(), "{command}");
+            assert_eq!(state.goal == Goal::Rest, command == Command::Stop, "{command}");
+        }
     }
 }
