@@ -5,14 +5,15 @@
     reason = "a test stops at the first surprise"
 )]
 
-mod common;
+#[path = "common/command.rs"]
+mod command;
 
 use std::fs;
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-use common::hal_sim;
+use command::hal_sim;
 
 #[test]
 fn the_table_its_limits_and_its_files() {

@@ -5,7 +5,8 @@
     reason = "a test stops at the first surprise"
 )]
 
-mod common;
+#[path = "common/command.rs"]
+mod command;
 
 use std::fs;
 use std::process::{Command, Output};
@@ -13,7 +14,7 @@ use std::process::{Command, Output};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use common::hal_sim;
+use command::hal_sim;
 
 fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {output:?}"))

@@ -5,7 +5,10 @@
 //! run is in `.ci/gpsdecode`.
 #![allow(clippy::unwrap_used, reason = "the helpers of tests are tests")]
 
-mod common;
+#[path = "common/paper.rs"]
+mod paper;
+#[path = "common/port.rs"]
+mod port;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,7 +19,8 @@ use hal_sim::unit_sim::{self, Typed};
 use nmea_kit::NmeaSentence;
 use nmea_kit::nmea::ddmm_to_decimal;
 
-use common::{Port, paper};
+use paper::paper;
+use port::Port;
 
 /// Off by less than half a digit, on a circle of `turn`, or without one.
 fn is(shown: Option<impl Into<f64>>, expected: f64, digit: f64, turn: Option<f64>, text: &str) {

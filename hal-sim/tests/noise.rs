@@ -1,14 +1,15 @@
 //! `allan` and `calibrate` as users meet them.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
-mod common;
+#[path = "common/command.rs"]
+mod command;
 
 use std::fs;
 
 use hal_sim::unit::Unit;
 use tempfile::TempDir;
 
-use common::hal_sim;
+use command::hal_sim;
 
 /// A unit at rest for 20 minutes is simulated, logged and analysed: its own figures come back in a UNIT.toml.
 #[test]

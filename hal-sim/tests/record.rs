@@ -1,7 +1,12 @@
 //! The unit's record on its serial line: encoded by the unit's code, amid sentences and damage, read and replayed.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
-mod common;
+#[path = "common/command.rs"]
+mod command;
+#[path = "common/paper.rs"]
+mod paper;
+#[path = "common/port.rs"]
+mod port;
 
 use std::fmt::Write as _;
 use std::fs;
@@ -29,7 +34,9 @@ use nav::model::ROBUST;
 use proptest::prelude::*;
 use tempfile::TempDir;
 
-use common::{Port, hal_sim, paper};
+use command::hal_sim;
+use paper::paper;
+use port::Port;
 
 /// Samples a second of the unit.
 const RATE_HZ: f64 = 202.4;
@@ -1013,7 +1020,7 @@ fn a_whole_unit_records_itself() {
     assert!(unseen.count() >= 2);
 
     // Up to the unit's last estimate, and of that no bit is lost.
-    let unit = port.estimates.last().unwrap();
+    let unit = port.estimate_at(port.lines.last().unwrap()).unwrap();
     let later = |row: &&LogRow| row.t_s * 1e6 > unit.t_us as f64 + 0.5;
     let end = rows.iter().find(later).map_or(line.len(), |row| match row.at {
         Place::Byte(at) => at as usize,

@@ -5,14 +5,15 @@
     reason = "a test stops at the first surprise"
 )]
 
-mod common;
+#[path = "common/command.rs"]
+mod command;
 
 use std::process::Output;
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-use common::hal_sim;
+use command::hal_sim;
 
 fn json(output: &Output) -> Value {
     assert_eq!(output.status.code(), Some(0), "{output:?}");

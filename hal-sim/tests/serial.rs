@@ -1,7 +1,10 @@
 //! The unit's serial port: every sentence of a run read by another's parser, and compared with the estimates.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod common;
+#[path = "common/paper.rs"]
+mod paper;
+#[path = "common/port.rs"]
+mod port;
 
 use frames::units::DEG;
 use hal_sim::align::Method;
@@ -11,7 +14,8 @@ use hal_sim::truth::Truth;
 use hal_sim::unit_sim::{self, UnitResult};
 use nmea_kit::NmeaSentence;
 
-use common::{Port, paper};
+use paper::paper;
+use port::Port;
 
 /// Bytes a second that 115200 baud carry.
 const LINE: f64 = 11_520.0;

@@ -1,7 +1,8 @@
 //! Sessions with the whole unit: what is typed on its serial line, and what comes of it.
 #![allow(clippy::unwrap_used, reason = "the helpers of tests are tests")]
 
-mod common;
+#[path = "common/answer.rs"]
+mod answer;
 
 use app::nmea::Talker;
 use frames::units::{DEG, DEG_PER_HOUR, PPM};
@@ -17,7 +18,7 @@ struct Answers(Vec<String>);
 
 impl Observer for Answers {
     fn sentence(&mut self, line: &UartLine) {
-        self.0.extend(common::answer(line));
+        self.0.extend(answer::answer(line));
     }
 }
 

@@ -1,7 +1,10 @@
 //! The whole unit in virtual time: alignment, determinism, lost samples, faults.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod common;
+#[path = "common/answer.rs"]
+mod answer;
+#[path = "common/paper.rs"]
+mod paper;
 
 use std::collections::BTreeMap;
 
@@ -15,7 +18,7 @@ use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
 use hal_sim::unit_sim::{self, Line, Observer, RobustSession, UnitResult};
 use rayon::prelude::*;
 
-use common::paper;
+use paper::paper;
 
 fn run(scenario: &Scenario, seed: u64) -> UnitResult {
     unit_sim::run(scenario, seed, Method::Robust, &mut ()).unwrap()
@@ -278,7 +281,7 @@ impl Observer for Said {
     }
 
     fn sentence(&mut self, line: &UartLine) {
-        self.answers.extend(common::answer(line));
+        self.answers.extend(answer::answer(line));
         let text = String::from_utf8_lossy(&line.bytes);
         let fields: Vec<_> = text.split(['*', ',']).map(str::to_owned).collect();
         self.sentences.insert(fields[0].clone(), fields);

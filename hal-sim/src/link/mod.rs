@@ -461,7 +461,7 @@ fn calibration(link: &mut Link) -> Result<String, LinkError> {
                     ended.get_or_insert_with(|| {
                         Err(match status.mode.as_str() {
                             "fault" => "the unit found a fault".to_owned(),
-                            mode => format!("it was broken off, the unit is in mode {mode}"),
+                            mode => format!("it ended without a word, the unit is in mode {mode}"),
                         })
                     });
                 }
