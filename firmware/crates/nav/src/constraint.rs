@@ -336,8 +336,9 @@ mod tests {
                     dv_s: dv_s.cast(),
                     dt: T::lit(DT),
                 };
-                self.filter.rotor_at(Some(T::lit(self.schedule.at(t + DT).angle)));
-                self.filter.step(&increment);
+                let alpha = T::lit(self.schedule.at(t + DT).angle);
+                self.filter.rotor_at(Some(alpha));
+                self.filter.step(&increment, alpha);
             }
             &self.filter
         }

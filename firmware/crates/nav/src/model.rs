@@ -9,14 +9,24 @@
 //! | 6 | + x | the part of the gyro biases that wanders, as a Gauss–Markov process |
 //! | 7 | + m_z | what the rotor's own turning makes of the z column of M: \[Du16\] (14)–(25) |
 //! | 9 | + m_x, m_y | all of M: scale factors and misalignments of the gyros |
-//! | [`ROBUST`] = 10 | + δω | Earth's rate in the strapdown's own level frame: no heading is needed to start from |
+//! | 10 | + δω | Earth's rate in the strapdown's own level frame: no heading is needed to start from |
+//! | 12 | + a_x, a_y | A: scale factors and misalignments of the accelerometers, the columns of the level axes |
+//! | 14 | + g_x, g_y | G: response of the gyros to specific force, the columns of the level axes |
+//! | [`ROBUST`] = 15 | + h | a gyro error that is constant in the housing: once a turn in s |
 //!
-//! With `C' = (I − [φ×]) C`, `V' = V + δV`, `p' = p + δp`, and ε, x, M, ∇ what the corrections still lack
+//! With `C' = (I − [φ×]) C`, `V' = V + δV`, `p' = p + δp`, and ε, x, M, G, h, ∇, A what the corrections still lack
 //! (\[Xing18\] (19), (20); the printed `−g^n×` is `[f^n×]`, g^n pointing down):
 //!
 //! ```text
-//! φ̇  = −ω_ie^n × φ − δω − C_s^n (ε + x + M ω_is^s)    δV̇ = f^n × φ + C_s^n ∇    δṗ = δV    ẋ = −x/τ + noise
+//! φ̇  = −ω_ie^n × φ − δω − C_s^n (ε + x + M ω_is^s + G f^s) − C_b^n h    δV̇ = f^n × φ + C_s^n (∇ + A f^s)
+//! δṗ = δV    ẋ = −x/τ + noise
 //! ```
+//!
+//! The third columns of A and G have no states of their own. They act by f_z, which is g within 1 % on a base that swings,
+//! so they are part of ∇ and ε, whose priors are widened by them (see [`FineFilter`](crate::fine::FineFilter::new)).
+//! The same holds for the part of h along the rotor's axis, and for a scale factor of z that differs with the sign of the rate.
+//! h cannot be told from Earth's rate while the housing keeps its heading, nor can the isotropic part of G under a constant
+//! tilt: both stay in the σ of heading.
 //!
 //! δω makes the search for north linear. A heading error of any size turns Earth's level rate, and nothing else that
 //! matters here, in the frame that the strapdown works in; so the two level components of δω are estimated in place
@@ -33,13 +43,14 @@
 //! where it is does not accelerate in the mean. A level part of the measured force is a tilt not yet found, and to
 //! take it for real would let the filter believe that it sees heading (σ of 1.1° with errors of 8° after 60 s).
 
-use frames::{Real, Sensor, Vec3};
+use frames::{Body, Real, Rot, Sensor, Vec3};
 use heapless::Vec;
 use nalgebra::{Matrix3, Vector3};
 
 use crate::{
     covariance::{Coupling, Covariance},
     earth::Earth,
+    increment::Increment,
     noise::ImuNoise,
 };
 
@@ -65,16 +76,55 @@ pub const MY: usize = 8;
 /// Block of the error of Earth's rate in the strapdown's frame, δω_E, δω_N, δω_U, rad/s.
 pub const WE: usize = 9;
 
+/// Block of the first column of A of the accelerometers: what a specific force along x adds to each.
+pub const AX: usize = 10;
+/// Block of the second column of A.
+pub const AY: usize = 11;
+/// Block of the first column of G: what a specific force along x adds to each gyro, rad/s per m/s².
+pub const GX: usize = 12;
+/// Block of the second column of G.
+pub const GY: usize = 13;
+/// Block of the gyro error h_x, h_y, h_z that is constant in the housing, in b, rad/s.
+pub const HB: usize = 14;
+
 /// Number of blocks of the paper's filter: twelve states.
 pub const PAPER: usize = 4;
-/// Number of blocks of the filter that needs no tuning between laboratory and deck: 30 states.
-pub const ROBUST: usize = 10;
+/// Number of blocks of the filter that needs no tuning between laboratory and deck: 45 states.
+pub const ROBUST: usize = 15;
 
-/// The columns of M by component of the rate, in the order of their blocks.
-pub(crate) const COLUMNS: [(usize, usize); 3] = [(MZ, 2), (MX, 0), (MY, 1)];
+/// What a gyro error is proportional to, and the frame that it is constant in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum GyroDrive {
+    /// Constant in s: D = C_s^n.
+    Bias,
+    /// Constant in n: D = 1.
+    Earth,
+    /// Constant in b: D = C_b^n.
+    Housing,
+    /// One component of the rate of s: D = C_s^n ω_k.
+    Rate(usize),
+    /// One component of the specific force: D = C_s^n f_k.
+    Force(usize),
+}
 
-/// Most blocks of Φ − I that are not zero.
-const MOST_COUPLINGS: usize = 25;
+/// The gyro errors of the model by block. ε and x share the first.
+pub(crate) const GYRO_TERMS: [(usize, GyroDrive); 8] = [
+    (BG, GyroDrive::Bias),
+    (MZ, GyroDrive::Rate(2)),
+    (MX, GyroDrive::Rate(0)),
+    (MY, GyroDrive::Rate(1)),
+    (WE, GyroDrive::Earth),
+    (GX, GyroDrive::Force(0)),
+    (GY, GyroDrive::Force(1)),
+    (HB, GyroDrive::Housing),
+];
+
+/// The columns of A by block, and the component of the force that each acts by.
+pub(crate) const ACCEL_COLUMNS: [(usize, usize); 2] = [(AX, 0), (AY, 1)];
+
+/// Most blocks of Φ − I that are not zero: nine gyro errors and three of the accelerometers on φ, δV and δp, and their
+/// own.
+const MOST_COUPLINGS: usize = 38;
 
 /// What a constant error does to the strapdown by the end of the interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -101,13 +151,12 @@ impl<T: Real> Response<T> {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Interval<T: Real, const B: usize> {
     dt: T,
-    /// Of a gyro bias, and of the columns of M as [`COLUMNS`] has them.
-    bias: Response<T>,
-    columns: [Response<T>; 3],
-    /// Of δω, which drives with the identity.
-    earth: Response<T>,
+    /// Of each of [`GYRO_TERMS`].
+    gyro: [Response<T>; GYRO_TERMS.len()],
     /// Of an accelerometer bias; `third` is not used.
     accel: Response<T>,
+    /// Of each of [`ACCEL_COLUMNS`], likewise.
+    accel_columns: [Response<T>; ACCEL_COLUMNS.len()],
     /// Variance added to each attitude error by what the samples do not tell (gaps), rad².
     phi_var: T,
     /// Variance added to each velocity error likewise, (m/s)².
@@ -119,10 +168,9 @@ impl<T: Real, const B: usize> Interval<T, B> {
         let zero = T::zero();
         Self {
             dt: zero,
-            bias: Response::new(),
-            columns: [Response::new(); 3],
-            earth: Response::new(),
+            gyro: [Response::new(); GYRO_TERMS.len()],
             accel: Response::new(),
+            accel_columns: [Response::new(); ACCEL_COLUMNS.len()],
             phi_var: zero,
             dv_var: zero,
         }
@@ -139,10 +187,11 @@ impl<T: Real, const B: usize> Interval<T, B> {
         self.dv_var += dv_sd * dv_sd;
     }
 
-    /// Adds `dt` seconds with the attitude `c_ns` in their middle, in which s turned by `phi_s`.
-    pub(crate) fn push(&mut self, dt: T, phi_s: Vec3<Sensor, T>, c_ns: &Matrix3<T>, earth: &Earth<T>) {
+    /// Adds an increment with the attitude `c_ns` in its middle, and the rotor at the angle `alpha` at its end, rad.
+    pub(crate) fn push(&mut self, increment: &Increment<T>, alpha: T, c_ns: &Matrix3<T>, earth: &Earth<T>) {
         let half = T::lit(0.5);
         let g = earth.gravity();
+        let dt = increment.dt;
         // [f^n ×] of f^n = [0 0 g]: rows (−g·north, g·east, 0).
         let lever = |m: &Matrix3<T>, dt: T| {
             let k = g * dt;
@@ -152,28 +201,45 @@ impl<T: Real, const B: usize> Interval<T, B> {
                 _ => T::zero(),
             })
         };
-        let add = |response: &mut Response<T>, drive: Matrix3<T>| {
+        // The velocity change is resolved in s at the start; the drive is one in the middle.
+        let force_s = if B > AX {
+            increment.dv_s - (increment.phi_s * half).cross(increment.dv_s)
+        } else {
+            Vec3::zero()
+        };
+        for ((block, drive), response) in GYRO_TERMS.iter().zip(&mut self.gyro) {
+            if B <= *block {
+                continue;
+            }
+            let drive = match drive {
+                GyroDrive::Bias => c_ns * dt,
+                GyroDrive::Earth => Matrix3::identity() * dt,
+                GyroDrive::Housing => {
+                    let c_bs = Rot::<Body, Sensor, T>::about_z(alpha - half * increment.phi_s.z());
+                    c_ns * c_bs.matrix().transpose() * dt
+                }
+                GyroDrive::Rate(axis) => c_ns * increment.phi_s.vector()[*axis],
+                GyroDrive::Force(axis) => c_ns * force_s.vector()[*axis],
+            };
             let second = response.second + lever(&(response.first + drive * half), dt);
             if B > DP {
                 response.third += (response.second + second) * (half * dt);
             }
             response.second = second;
             response.first += drive;
+        }
+        let add = |response: &mut Response<T>, drive: Matrix3<T>| {
+            if B > DP {
+                response.second += (response.first + drive * half) * dt;
+            }
+            response.first += drive;
         };
-        add(&mut self.bias, c_ns * dt);
-        for ((block, axis), column) in COLUMNS.iter().zip(&mut self.columns) {
+        add(&mut self.accel, c_ns * dt);
+        for ((block, axis), response) in ACCEL_COLUMNS.iter().zip(&mut self.accel_columns) {
             if B > *block {
-                add(column, c_ns * phi_s.vector()[*axis]);
+                add(response, c_ns * force_s.vector()[*axis]);
             }
         }
-        if B > WE {
-            add(&mut self.earth, Matrix3::identity() * dt);
-        }
-        let drive = c_ns * dt;
-        if B > DP {
-            self.accel.second += (self.accel.first + drive * half) * dt;
-        }
-        self.accel.first += drive;
         self.dt += dt;
     }
 
@@ -193,11 +259,11 @@ impl<T: Real, const B: usize> Interval<T, B> {
         if B > DP {
             couple(DP, DV, identity * t);
             couple(DP, PHI, f_t * half);
-            couple(DP, BA, self.accel.second);
+            self.accel_errors(|col, response| couple(DP, col, response.second));
             self.gyro_errors(|col, response| couple(DP, col, -response.third));
         }
         couple(DV, PHI, f_t);
-        couple(DV, BA, self.accel.first);
+        self.accel_errors(|col, response| couple(DV, col, response.first));
         self.gyro_errors(|col, response| couple(DV, col, -response.second));
         couple(PHI, PHI, -(earth.w_ie_n() * t).skew());
         self.gyro_errors(|col, response| couple(PHI, col, -response.first));
@@ -219,18 +285,24 @@ impl<T: Real, const B: usize> Interval<T, B> {
     }
 
     /// Every block that drives attitude as a gyro error does, and how.
-    fn gyro_errors(&self, mut each: impl FnMut(usize, Response<T>)) {
-        each(BG, self.bias);
-        if B > GM {
-            each(GM, self.bias);
-        }
-        for ((block, _), column) in COLUMNS.iter().zip(&self.columns) {
+    fn gyro_errors(&self, mut each: impl FnMut(usize, &Response<T>)) {
+        for ((block, drive), response) in GYRO_TERMS.iter().zip(&self.gyro) {
             if B > *block {
-                each(*block, *column);
+                each(*block, response);
+            }
+            if B > GM && *drive == GyroDrive::Bias {
+                each(GM, response);
             }
         }
-        if B > WE {
-            each(WE, self.earth);
+    }
+
+    /// Every block that drives velocity as an accelerometer error does, and how.
+    fn accel_errors(&self, mut each: impl FnMut(usize, &Response<T>)) {
+        each(BA, &self.accel);
+        for ((block, _), response) in ACCEL_COLUMNS.iter().zip(&self.accel_columns) {
+            if B > *block {
+                each(*block, response);
+            }
         }
     }
 
@@ -257,6 +329,9 @@ impl<T: Real, const B: usize> Interval<T, B> {
             p.add(DV, DP, &cross);
             let displacement = identity * ((velocity * over(3.0) + self.dv_var) * t * t);
             p.add(DP, DP, &(displacement + f2 * (walk * t * t * over(20.0))));
+        }
+        if noise.accel_instability_sd > T::zero() {
+            p.add(BA, BA, &(identity * (noise.accel_bias_walk_psd() * t)));
         }
         if B > GM {
             p.add(GM, GM, &(identity * noise.gyro_instability_kick_var(t)));
@@ -289,7 +364,12 @@ mod tests {
         for _ in 0..intervals {
             let mut interval = Interval::<f64, ROBUST>::new();
             for _ in 0..100 {
-                interval.push(seconds / 100.0, Vec3::zero(), &Matrix3::identity(), &earth);
+                let still = Increment {
+                    phi_s: Vec3::zero(),
+                    dv_s: Vec3::zero(),
+                    dt: seconds / 100.0,
+                };
+                interval.push(&still, 0.0, &Matrix3::identity(), &earth);
             }
             p.propagate(&interval.couplings(&noise, &earth));
             interval.add_noise(&mut p, &noise, &earth);

@@ -20,7 +20,7 @@
 //! The first is what it is; the second is above it, since the rotor is taken not to turn. Velocity and place have no 1σ
 //! here: they are those of a free-running navigator of MEMS gyros, metres in the first minute and hundreds in the tenth.
 
-use frames::{Attitude, AttitudeSd, Body, Nav, Real, Rot, Sensor, Vec3, math};
+use frames::{Attitude, AttitudeSd, Nav, Real, Rot, Vec3, math};
 
 use crate::aligner::{Estimate, HandOver};
 use crate::increment::{Compensator, Decimator, Sample};
@@ -98,7 +98,8 @@ pub struct Navigator<T: Real = f32> {
     compensator: Compensator<T>,
     decimator: Decimator<T>,
     last: Option<Sample<T>>,
-    c_sb: Rot<Sensor, Body, T>,
+    /// The rotor's angle at the end of the last sample, rad.
+    alpha: T,
     /// Since the alignment's end, s.
     t: T,
 }
@@ -110,12 +111,12 @@ impl<T: Real> Navigator<T> {
     /// [`MechanizationError`] where place or velocity cannot be.
     pub fn new(config: NavigatorConfig<T>, start: Position<T>, from: &HandOver<T>) -> Result<Self, MechanizationError> {
         Ok(Self {
-            mechanization: Mechanization::new(start, from.v_n, from.estimate.c_nb * from.c_bs, config.vertical)?,
+            mechanization: Mechanization::new(start, from.v_n, from.estimate.c_nb * Rot::about_z(from.alpha), config.vertical)?,
             from: *from,
             compensator: Compensator::new(),
             decimator: Decimator::new(config.decimate_to),
             last: None,
-            c_sb: from.c_bs.inverse(),
+            alpha: from.alpha,
             t: T::zero(),
             config,
         })
@@ -135,19 +136,20 @@ impl<T: Real> Navigator<T> {
                 return Err(NavigatorError::Gap { length });
             }
             let before = self.last.unwrap_or(*sample);
-            self.advance(&before.bridge(sample, length))?;
+            // Where the rotor was at the end of the gap, to the turn of the housing in one sample.
+            self.advance(&before.bridge(sample, length), alpha - sample.dtheta_s.z())?;
         }
-        self.advance(sample)?;
+        self.advance(sample, alpha)?;
         self.last = Some(*sample);
-        self.c_sb = Rot::about_z(alpha).inverse();
+        self.alpha = alpha;
         Ok(())
     }
 
-    fn advance(&mut self, sample: &Sample<T>) -> Result<(), NavigatorError<T>> {
+    fn advance(&mut self, sample: &Sample<T>, alpha: T) -> Result<(), NavigatorError<T>> {
         let increment = self.compensator.increment(sample);
         self.t += sample.dt;
         if let Some(joined) = self.decimator.push(&increment) {
-            self.mechanization.step(&self.from.corrections.corrected(&joined))?;
+            self.mechanization.step(&self.from.corrections.corrected(&joined, alpha))?;
         }
         Ok(())
     }
@@ -179,9 +181,9 @@ impl<T: Real> Navigator<T> {
         let mut c_ns = self.mechanization.c_ns();
         if let Some(pending) = self.decimator.pending() {
             // Earth turns by 4e-6 rad in a whole increment.
-            c_ns = c_ns * Rot::exp(self.from.corrections.corrected(&pending).phi_s);
+            c_ns = c_ns * Rot::exp(self.from.corrections.corrected(&pending, self.alpha).phi_s);
         }
-        let c_nb = (c_ns * self.c_sb).normalized();
+        let c_nb = (c_ns * Rot::about_z(self.alpha).inverse()).normalized();
         Estimate {
             c_nb,
             attitude: Attitude::from_rot(&c_nb),
@@ -215,7 +217,7 @@ impl<T: Real> Navigator<T> {
 #[cfg(test)]
 mod tests {
     use frames::units::{DEG, DEG_PER_HOUR, MICRO_G};
-    use nalgebra::Matrix3;
+    use frames::{Body, Sensor};
 
     use super::*;
     use crate::earth::Earth;
@@ -266,11 +268,10 @@ mod tests {
             v_n: Vec3::zero(),
             corrections: Corrections {
                 gyro_bias_s: gyro,
-                gyro_instability_s: Vec3::zero(),
-                gyro_matrix: Matrix3::zeros(),
                 accel_bias_s: accel,
+                ..Corrections::none()
             },
-            c_bs: Rot::identity(),
+            alpha: 0.0,
         }
     }
 

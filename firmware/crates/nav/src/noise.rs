@@ -14,6 +14,12 @@ use frames::{Real, units};
 /// | `gyro_instability_tau` | s | refused, unless the sd is zero | – (100 s) |
 /// | `gyro_scale_factor_sd` | – | scale factors known | – |
 /// | `gyro_misalignment_sd` | rad | axes known | – |
+/// | `gyro_g_sensitivity_sd` | rad/s per m/s² | no response to force | – |
+/// | `gyro_housing_sd` | rad/s | none | – |
+/// | `accel_scale_factor_sd` | – | scale factors known | – |
+/// | `accel_misalignment_sd` | rad | axes known | – |
+/// | `accel_instability_sd` | m/s² | biases constant | – |
+/// | `accel_instability_tau` | s | refused, unless the sd is zero | – (100 s) |
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImuNoise<T: Real = f32> {
     /// 1σ of the turn-on bias of a gyro, rad/s.
@@ -32,6 +38,18 @@ pub struct ImuNoise<T: Real = f32> {
     pub gyro_scale_factor_sd: T,
     /// 1σ of the gyros' misalignments after calibration, rad.
     pub gyro_misalignment_sd: T,
+    /// 1σ of each term of the gyros' response to specific force, rad/s per m/s².
+    pub gyro_g_sensitivity_sd: T,
+    /// 1σ of each level component of a gyro error that is constant in the housing, rad/s.
+    pub gyro_housing_sd: T,
+    /// 1σ of the accelerometers' scale factors after calibration.
+    pub accel_scale_factor_sd: T,
+    /// 1σ of the accelerometers' misalignments after calibration, rad.
+    pub accel_misalignment_sd: T,
+    /// 1σ of the first-order Gauss–Markov part of the accelerometer bias, m/s².
+    pub accel_instability_sd: T,
+    /// Correlation time of that part, s.
+    pub accel_instability_tau: T,
 }
 
 impl<T: Real> Default for ImuNoise<T> {
@@ -46,6 +64,12 @@ impl<T: Real> Default for ImuNoise<T> {
             gyro_instability_tau: T::lit(100.0),
             gyro_scale_factor_sd: T::zero(),
             gyro_misalignment_sd: T::zero(),
+            gyro_g_sensitivity_sd: T::zero(),
+            gyro_housing_sd: T::zero(),
+            accel_scale_factor_sd: T::zero(),
+            accel_misalignment_sd: T::zero(),
+            accel_instability_sd: T::zero(),
+            accel_instability_tau: T::lit(100.0),
         }
     }
 }
@@ -64,6 +88,12 @@ impl<T: Real> ImuNoise<T> {
             gyro_instability_tau,
             gyro_scale_factor_sd,
             gyro_misalignment_sd,
+            gyro_g_sensitivity_sd,
+            gyro_housing_sd,
+            accel_scale_factor_sd,
+            accel_misalignment_sd,
+            accel_instability_sd,
+            accel_instability_tau,
         } = *self;
         [
             gyro_bias_sd,
@@ -73,12 +103,19 @@ impl<T: Real> ImuNoise<T> {
             gyro_instability_tau,
             gyro_scale_factor_sd,
             gyro_misalignment_sd,
+            gyro_g_sensitivity_sd,
+            gyro_housing_sd,
+            accel_scale_factor_sd,
+            accel_misalignment_sd,
+            accel_instability_sd,
+            accel_instability_tau,
         ]
         .iter()
         .all(|x| x.finite() && *x >= zero)
             && angle_random_walk.finite()
             && angle_random_walk > zero
             && (gyro_instability_sd == zero || gyro_instability_tau > zero)
+            && (accel_instability_sd == zero || accel_instability_tau > zero)
     }
 
     /// Density of the random walk that stands in for the Gauss–Markov part, (rad/s)²/s.
@@ -89,6 +126,14 @@ impl<T: Real> ImuNoise<T> {
             return T::zero();
         }
         T::lit(2.0) * self.gyro_instability_sd * self.gyro_instability_sd / self.gyro_instability_tau
+    }
+
+    /// The same for the accelerometers, (m/s²)²/s. They have no state of their own for it.
+    pub fn accel_bias_walk_psd(&self) -> T {
+        if self.accel_instability_sd == T::zero() {
+            return T::zero();
+        }
+        T::lit(2.0) * self.accel_instability_sd * self.accel_instability_sd / self.accel_instability_tau
     }
 
     /// What is left of the Gauss–Markov part after `t` seconds: e^(−t/τ) by (1 − x/2)/(1 + x/2), x = t/τ, which is

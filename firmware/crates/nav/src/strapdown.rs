@@ -1,22 +1,22 @@
 //! The strapdown: attitude, velocity and displacement from increments, corrected by what is known of the sensors.
 //!
 //! ```text
-//! δ      = (b_g + x_g) T + M φ_s                what the gyros add to a turn
+//! δ      = (b_g + x_g + C_b^s h) T + M φ_s + G Δv⁰   what the gyros add to a turn
 //! C_s^n ← exp(−ω_ie^n T) C_s^n exp(φ_s − δ)
-//! V^n   ← V^n + C_s^n (Δv⁰ − ½ δ × Δv⁰ − b_a T) + g^n T
+//! V^n   ← V^n + C_s^n (Δv⁰ − ½ δ × Δv⁰ − b_a T − A Δv⁰) + g^n T
 //! p^n   ← p^n + V^n T + ½ ΔV T
 //! ```
 //!
 //! The base stays about where it is: no transport rate, no Coriolis acceleration (2 ω_ie V, below 1e-4 m/s² for
 //! the sway of a ship and zero in the mean).
 
-use frames::{Nav, Real, Rot, RotIntegral, Sensor, Vec3};
+use frames::{Body, Nav, Real, Rot, RotIntegral, Sensor, Vec3};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::{
     earth::Earth,
     increment::Increment,
-    model::{BA, BG, COLUMNS, DP, DV, GM, PHI},
+    model::{ACCEL_COLUMNS, BA, BG, DP, DV, GM, GYRO_TERMS, GyroDrive, HB, PHI},
 };
 
 /// What is known of the sensors' errors.
@@ -28,8 +28,14 @@ pub struct Corrections<T: Real> {
     pub gyro_instability_s: Vec3<Sensor, T>,
     /// M: scale factors on the diagonal, misalignments beside it. A rate ω is measured as (I + M) ω.
     pub gyro_matrix: Matrix3<T>,
+    /// G: the gyros' response to specific force, rad/s per m/s².
+    pub g_sensitivity: Matrix3<T>,
+    /// h: the gyro error that is constant in the housing, rad/s.
+    pub housing_b: Vec3<Body, T>,
     /// Accelerometer biases, m/s².
     pub accel_bias_s: Vec3<Sensor, T>,
+    /// A: scale factors on the diagonal, misalignments beside it. A specific force f is measured as (I + A) f.
+    pub accel_matrix: Matrix3<T>,
 }
 
 impl<T: Real> Corrections<T> {
@@ -39,28 +45,46 @@ impl<T: Real> Corrections<T> {
             gyro_bias_s: Vec3::zero(),
             gyro_instability_s: Vec3::zero(),
             gyro_matrix: Matrix3::zeros(),
+            g_sensitivity: Matrix3::zeros(),
+            housing_b: Vec3::zero(),
             accel_bias_s: Vec3::zero(),
+            accel_matrix: Matrix3::zeros(),
         }
     }
 
-    /// What the gyros have added to a turn measured as `phi_s`, rad, in `dt` seconds.
-    pub fn gyro_error(&self, phi_s: Vec3<Sensor, T>, dt: T) -> Vec3<Sensor, T> {
-        let bias = (self.gyro_bias_s + self.gyro_instability_s) * dt;
+    /// What the gyros have added to the turn of an increment, rad, with the rotor at the angle `alpha` at its end, rad.
+    pub fn gyro_error(&self, increment: &Increment<T>, alpha: T) -> Vec3<Sensor, T> {
+        let Increment { phi_s, dv_s, dt } = *increment;
+        let half = T::lit(0.5);
+        let c_sb = Rot::<Body, Sensor, T>::about_z(alpha - half * phi_s.z()).inverse();
+        let bias = (self.gyro_bias_s + self.gyro_instability_s + c_sb * self.housing_b) * dt;
+        // In the middle of the interval.
+        let force_s = dv_s - (phi_s * half).cross(dv_s);
         // M is below 1e-2: that it acts on the measured turn and not on the true one is M² of it.
-        bias + Vec3::from_vector(self.gyro_matrix * phi_s.vector())
+        bias + Vec3::from_vector(self.gyro_matrix * phi_s.vector() + self.g_sensitivity * force_s.vector())
     }
 
     /// The increment as sensors without these errors would have measured it.
-    pub fn corrected(&self, increment: &Increment<T>) -> Increment<T> {
+    pub fn corrected(&self, increment: &Increment<T>, alpha: T) -> Increment<T> {
         let half = T::lit(0.5);
         let dt = increment.dt;
-        let gyro_error = self.gyro_error(increment.phi_s, dt);
+        let gyro_error = self.gyro_error(increment, alpha);
         let phi_s = increment.phi_s - gyro_error;
-        // The bias is constant in s while the increment is resolved in s at the start: half a turn back.
-        let bias_s = self.accel_bias_s + (phi_s * half).cross(self.accel_bias_s);
+        let half_turn = phi_s * half;
+        // Bias and A are constant in s while the increment is resolved in s at the start: half a turn back and forth.
+        let force_s = increment.dv_s - half_turn.cross(increment.dv_s);
+        let error_s = self.accel_bias_s * dt + Vec3::from_vector(self.accel_matrix * force_s.vector());
+        let error_s = error_s + half_turn.cross(error_s);
         // The gyro error has turned the samples within the interval as well, by half of it in the mean.
-        let dv_s = increment.dv_s - gyro_error.cross(increment.dv_s) * half - bias_s * dt;
+        let dv_s = increment.dv_s - gyro_error.cross(increment.dv_s) * half - error_s;
         Increment { phi_s, dv_s, dt }
+    }
+}
+
+fn add_to_column<T: Real>(matrix: &mut Matrix3<T>, axis: usize, part: Option<&Vector3<T>>) {
+    if let Some(part) = part {
+        let mut column = matrix.column_mut(axis);
+        column += part;
     }
 }
 
@@ -89,9 +113,11 @@ impl<T: Real> Strapdown<T> {
     }
 
     /// Integrates one increment; returns `C_s^n` in the middle of it.
-    pub fn advance(&mut self, increment: &Increment<T>, earth: &Earth<T>) -> Matrix3<T> {
+    ///
+    /// `alpha` is the rotor's angle at its end, rad.
+    pub fn advance(&mut self, increment: &Increment<T>, alpha: T, earth: &Earth<T>) -> Matrix3<T> {
         let half = T::lit(0.5);
-        let Increment { phi_s, dv_s, dt } = self.corrections.corrected(increment);
+        let Increment { phi_s, dv_s, dt } = self.corrections.corrected(increment, alpha);
         let earth_turn = earth.w_ie_n() * dt;
         let start = self.c_ns.get();
         let dv_n = start * dv_s;
@@ -115,14 +141,20 @@ impl<T: Real> Strapdown<T> {
                 BG => self.corrections.gyro_bias_s += in_s,
                 BA => self.corrections.accel_bias_s += in_s,
                 GM => self.corrections.gyro_instability_s += in_s,
+                HB => self.corrections.housing_b += Vec3::from_vector(*part),
                 _ => {}
             }
         }
-        for (block, axis) in COLUMNS {
-            if let Some(part) = error.get(block) {
-                let mut column = self.corrections.gyro_matrix.column_mut(axis);
-                column += part;
-            }
+        for (block, drive) in GYRO_TERMS {
+            let (matrix, axis) = match drive {
+                GyroDrive::Rate(axis) => (&mut self.corrections.gyro_matrix, axis),
+                GyroDrive::Force(axis) => (&mut self.corrections.g_sensitivity, axis),
+                GyroDrive::Bias | GyroDrive::Earth | GyroDrive::Housing => continue,
+            };
+            add_to_column(matrix, axis, error.get(block));
+        }
+        for (block, axis) in ACCEL_COLUMNS {
+            add_to_column(&mut self.corrections.accel_matrix, axis, error.get(block));
         }
     }
 
