@@ -2,7 +2,9 @@
 //! and what it says in degrees.
 
 use app::settings::{Installation, Position, Settings, Source};
-use frames::units::{ARC_MIN, ARC_SEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
+use frames::units::{
+    ARC_MIN, ARC_SEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM, STANDARD_GRAVITY,
+};
 use frames::{Attitude, AttitudeSd, Real, Sensor, Vec3};
 use nav::aligner::{Aligner, AlignerConfig, AlignerError, Estimate, Event, Mode, NotReady, Restart};
 use nav::constraint::ConstraintConfig;
@@ -71,8 +73,9 @@ impl Setup {
     ///
     /// A perfect IMU is weighed as the paper's: no filter works without noise.
     pub fn of(scenario: &Scenario, method: Method) -> Self {
-        let unit = if scenario.imu.angle_random_walk_deg_sqrt_h > 0.0 {
-            scenario.imu.clone()
+        let told = scenario.told.as_ref().unwrap_or(&scenario.imu);
+        let unit = if told.angle_random_walk_deg_sqrt_h > 0.0 {
+            told.clone()
         } else {
             Unit::default()
         };
@@ -154,6 +157,12 @@ pub fn noise<T: Real>(unit: &Unit) -> ImuNoise<T> {
         gyro_instability_tau: T::lit(unit.gyro_instability_tau_s),
         gyro_scale_factor_sd: T::lit(unit.gyro_scale_factor_sd_ppm * PPM),
         gyro_misalignment_sd: T::lit(unit.gyro_misalignment_sd_arcmin * ARC_MIN),
+        gyro_g_sensitivity_sd: T::lit(unit.gyro_g_sensitivity_sd_deg_h_g * DEG_PER_HOUR / STANDARD_GRAVITY),
+        gyro_housing_sd: T::lit(unit.gyro_housing_sd_deg_h * DEG_PER_HOUR),
+        accel_scale_factor_sd: T::lit(unit.accel_scale_factor_sd_ppm * PPM),
+        accel_misalignment_sd: T::lit(unit.accel_misalignment_sd_arcmin * ARC_MIN),
+        accel_instability_sd: T::lit(unit.accel_instability_ug * MICRO_G),
+        accel_instability_tau: T::lit(unit.accel_instability_tau_s),
     }
 }
 

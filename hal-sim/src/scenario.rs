@@ -176,22 +176,15 @@ table! {
 }
 
 table! {
-    /// `[errors]`: errors of the IMU that no filter is told of. Those it weighs its measurements by are in `[imu]`.
-    ///
-    /// Gyros measure `(I + M) ω + G f + b`; M has a scale factor on its diagonal and misalignments off it, each drawn
-    /// with the 1σ stated. Accelerometers measure `(I + M) f + b`.
+    /// `[errors]`: errors of the IMU that no data sheet has. Those that are drawn by the sheet's 1σ are in `[imu]`.
     pub struct Errors {
         numbers {
-            /// Scale factor of the accelerometers, 1σ, ppm.
-            accel_scale_factor_ppm: f64 = 0.0, [0.0, 100000.0];
-            /// Misalignment of the accelerometers, each off-diagonal term, 1σ, arc minutes.
-            accel_misalignment_arcmin: f64 = 0.0, [0.0, 600.0];
-            /// Response of the gyros to specific force, each term of the full matrix, 1σ, °/h per g.
-            g_sensitivity_deg_h_g: f64 = 0.0, [0.0, 10000.0];
             /// A known bias of the gyros on x, y, z, added to what is drawn, °/h.
             gyro_bias_deg_h: [f64; 3] = [0.0; 3], [-100000.0, 100000.0];
             /// A known bias of the accelerometers on x, y, z, added to what is drawn, µg.
             accel_bias_ug: [f64; 3] = [0.0; 3], [-1000000.0, 1000000.0];
+            /// A known gyro error that is fixed to the housing, on its x, y, z, °/h.
+            gyro_housing_deg_h: [f64; 3] = [0.0; 3], [-10000.0, 10000.0];
             /// A step of the gyros' bias on x, y, z, °/h, …
             gyro_step_deg_h: [f64; 3] = [0.0; 3], [-100000.0, 100000.0];
             /// … and when it comes, s.
@@ -351,9 +344,13 @@ pub struct Scenario {
     pub sway: Sway,
     /// The motion of the IMU in the housing.
     pub rotor: Rotor,
-    /// The noise and bias figures of the IMU, as in a `UNIT.toml`. Without this table the IMU is perfect; with it, even
+    /// The figures of the IMU, as in a `UNIT.toml`: gyros measure `(I + M) ω + G f + b + C_b^s h`, accelerometers
+    /// `(I + A) f + b`, each term drawn with its 1σ. Without this table the IMU is perfect; with it, even
     /// empty, keys left out are the paper's.
     pub imu: Unit,
+    /// The figures that the unit's filter is configured with, where they are not those of `[imu]`: a data sheet that is
+    /// wrong about its part.
+    pub told: Option<Unit>,
     /// Its other errors.
     pub errors: Errors,
     /// The errors of the encoder.
@@ -377,6 +374,7 @@ impl Default for Scenario {
             sway: Sway::default(),
             rotor: Rotor::default(),
             imu: Unit::perfect(),
+            told: None,
             errors: Errors::default(),
             encoder: EncoderErrors::default(),
             buses: Buses::default(),
@@ -481,6 +479,9 @@ impl Scenario {
         self.sway.check("sway")?;
         self.rotor.check("rotor")?;
         self.imu.check("imu")?;
+        if let Some(told) = &self.told {
+            told.check("told")?;
+        }
         self.errors.check("errors")?;
         self.encoder.check("encoder")?;
         self.buses.check("buses")?;

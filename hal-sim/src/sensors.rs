@@ -1,8 +1,8 @@
 //! Sensor errors, seeded, applied to exact increments.
 //!
 //! ```text
-//! Δθ' = (I + M_g) Δθ + G Δv + (b_g + x_g) dt + n_g        n_g ~ N(0, ARW² dt)
-//! Δv' = (I + M_a) Δv        + (b_a + x_a) dt + n_a        n_a ~ N(0, VRW² dt)
+//! Δθ' = (I + M_g) Δθ + G Δv + (b_g + x_g + C_b^s h) dt + n_g    n_g ~ N(0, ARW² dt)
+//! Δv' = (I + M_a) Δv        + (b_a + x_a) dt + n_a              n_a ~ N(0, VRW² dt)
 //! ẋ = −x/τ + w,  E x² = σ²                                first-order Gauss–Markov, stationary from the start
 //! ```
 //!
@@ -22,7 +22,7 @@ use frames::units::{
     ARC_MIN, ARC_SEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM, STANDARD_GRAVITY,
 };
 use frames::{Sensor, Vec3};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -65,6 +65,8 @@ pub enum Stream {
     DataReady = 14,
     /// Noise of the serial line.
     Serial = 15,
+    /// Gyro error fixed to the housing.
+    GyroHousing = 16,
 }
 
 /// The generator of one source of chance in the run with this seed.
@@ -201,6 +203,10 @@ pub struct Imu {
     accel_matrix: Matrix3<f64>,
     /// G, rad/s per m/s².
     g_sensitivity: Matrix3<f64>,
+    /// h, in b, rad/s.
+    housing: Vector3<f64>,
+    /// Angle of the rotor in the middle of the next sample, rad.
+    rotor: f64,
     gyro_output: Output,
     accel_output: Output,
 }
@@ -220,7 +226,8 @@ impl Imu {
             })
         };
         let mut g_rng = stream(seed, Stream::GSensitivity);
-        let g_sd = errors.g_sensitivity_deg_h_g * DEG_PER_HOUR / STANDARD_GRAVITY;
+        let g_sd = unit.gyro_g_sensitivity_sd_deg_h_g * DEG_PER_HOUR / STANDARD_GRAVITY;
+        let housing = draw(Stream::GyroHousing) * (unit.gyro_housing_sd_deg_h * DEG_PER_HOUR);
         Self {
             time: 0.0,
             gyro_bias: draw(Stream::GyroBias) * (unit.gyro_bias_sd_deg_h * DEG_PER_HOUR)
@@ -254,12 +261,14 @@ impl Imu {
                 Stream::GyroMisalignment,
             ),
             accel_matrix: matrix(
-                errors.accel_scale_factor_ppm * PPM,
+                unit.accel_scale_factor_sd_ppm * PPM,
                 Stream::AccelScale,
-                errors.accel_misalignment_arcmin * ARC_MIN,
+                unit.accel_misalignment_sd_arcmin * ARC_MIN,
                 Stream::AccelMisalignment,
             ),
             g_sensitivity: Matrix3::from_fn(|_, _| g_rng.sample::<f64, _>(StandardNormal) * g_sd),
+            housing: Vector3::new(housing.x, housing.y, 0.0) + Vector3::from(errors.gyro_housing_deg_h) * DEG_PER_HOUR,
+            rotor: 0.0,
             gyro_output: Output {
                 quantum: errors.gyro_quantum,
                 range: errors.gyro_range_dps.map(|range| range * DEG),
@@ -273,6 +282,12 @@ impl Imu {
         }
     }
 
+    /// The angle of the rotor in the middle of the next sample, rad: where the gyro error that is fixed to the housing
+    /// acts. Zero until it is set.
+    pub fn rotor_at(&mut self, alpha: f64) {
+        self.rotor = alpha;
+    }
+
     /// What the IMU makes of the exact increments of the next `dt` seconds (rad, m/s).
     pub fn measure(&mut self, dtheta_s: Vec3<Sensor, f64>, dv_s: Vec3<Sensor, f64>, dt: f64) -> Measured {
         let (angle, velocity) = (dtheta_s.vector(), dv_s.vector());
@@ -280,7 +295,8 @@ impl Imu {
         self.time += dt;
         // The part of the sample after the step.
         let stepped = (self.time - self.gyro_step_at.max(start)).clamp(0.0, dt);
-        let gyro_bias = self.gyro_bias + self.gyro_instability.step(dt);
+        let c_sb = Rotation3::from_axis_angle(&Vector3::z_axis(), -self.rotor);
+        let gyro_bias = self.gyro_bias + self.gyro_instability.step(dt) + c_sb * self.housing;
         let accel_bias = self.accel_bias + self.accel_instability.step(dt);
         let angle = angle
             + self.gyro_matrix * angle
@@ -321,6 +337,11 @@ impl Imu {
     /// M of the accelerometers; they measure `(I + M) f`.
     pub fn accel_matrix(&self) -> Matrix3<f64> {
         self.accel_matrix
+    }
+
+    /// The gyro error that is fixed to the housing, in b, rad/s.
+    pub fn gyro_housing_b(&self) -> Vector3<f64> {
+        self.housing
     }
 
     /// Response of the gyros to specific force, rad/s per m/s².
@@ -482,8 +503,9 @@ mod tests {
     #[test]
     fn matrices_have_their_spread_and_act_as_stated() {
         let text = format!(
-            "{QUIET}gyro_scale_factor_sd_ppm = 300\ngyro_misalignment_sd_arcmin = 2\n[errors]\n\
-             accel_scale_factor_ppm = 100\naccel_misalignment_arcmin = 1\ng_sensitivity_deg_h_g = 10"
+            "{QUIET}gyro_scale_factor_sd_ppm = 300\ngyro_misalignment_sd_arcmin = 2\n\
+             accel_scale_factor_sd_ppm = 100\naccel_misalignment_sd_arcmin = 1\n\
+             gyro_g_sensitivity_sd_deg_h_g = 10"
         );
         let scenario = scenario(&text);
         let runs = 2000;

@@ -164,6 +164,7 @@ fn calibrated(scenario: &Scenario, encoder: &Encoder, seed: u64) -> Result<(Imu,
         let (t0, t) = (scenario.time(k - 1), scenario.time(k));
         let dt = t - t0;
         let (dtheta_s, dv_s) = truth.increment(t0, t);
+        imu.rotor_at(truth.rotor_angle(0.5 * (t0 + t)));
         let measured = imu.measure(dtheta_s, dv_s, dt);
         let sample = Sample {
             dtheta_s: measured.dtheta_s,
@@ -198,6 +199,7 @@ impl Iterator for Simulation {
         let (t0, t) = (self.scenario.time(k - 1), self.scenario.time(k));
         let (dtheta_s, dv_s) = self.truth.increment(t0, t);
         let dt = t - t0;
+        self.imu.rotor_at(self.truth.rotor_angle(0.5 * (t0 + t)));
         let measured = self.imu.measure(dtheta_s, dv_s, dt);
         let sample = Sample {
             dtheta_s: measured.dtheta_s,

@@ -29,6 +29,14 @@ table! {
             gyro_scale_factor_sd_ppm: f64 = 0.0, [0.0, 100000.0];
             /// Misalignments of the gyros after calibration, each off-diagonal term, 1σ, arc minutes.
             gyro_misalignment_sd_arcmin: f64 = 0.0, [0.0, 600.0];
+            /// Response of the gyros to specific force, each term of the full matrix, 1σ, °/h per g.
+            gyro_g_sensitivity_sd_deg_h_g: f64 = 0.0, [0.0, 10000.0];
+            /// A gyro error that is constant in the housing, once a turn for the gyros: each level component, 1σ, °/h.
+            gyro_housing_sd_deg_h: f64 = 0.0, [0.0, 10000.0];
+            /// Scale factors of the accelerometers after calibration, 1σ, ppm.
+            accel_scale_factor_sd_ppm: f64 = 0.0, [0.0, 100000.0];
+            /// Misalignments of the accelerometers after calibration, each off-diagonal term, 1σ, arc minutes.
+            accel_misalignment_sd_arcmin: f64 = 0.0, [0.0, 600.0];
             /// Bias instability of the accelerometers as a first-order Gauss–Markov process, 1σ, µg. Zero: none.
             accel_instability_ug: f64 = 0.0, [0.0, 100000.0];
             /// Its correlation time, s.

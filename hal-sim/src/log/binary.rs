@@ -449,6 +449,7 @@ fn header(mut bytes: Bytes<'_>) -> Option<Header> {
             gyro_instability_tau: bytes.f32()?,
             gyro_scale_factor_sd: bytes.f32()?,
             gyro_misalignment_sd: bytes.f32()?,
+            ..ImuNoise::default()
         },
         firmware: bytes.text(),
     })

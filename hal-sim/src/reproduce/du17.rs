@@ -434,7 +434,7 @@ impl Turntable {
                 dt,
                 gap: 0.0,
             };
-            filter.step(&compensator.increment(&sample));
+            filter.step(&compensator.increment(&sample), 0.0);
             if (k + 1) % 100 != 0 {
                 continue;
             }

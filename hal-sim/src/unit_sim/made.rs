@@ -139,6 +139,7 @@ impl Exposure {
             plant.load = -plant.config().inertia * (rate - before) / (t1 - t);
         }
         self.base = Some((t1, rate));
+        self.errors.rotor_at(0.5 * (from.angle + to.angle));
         self.measure(t1, dt, dtheta_s, dv_s)
     }
 

@@ -121,9 +121,11 @@ impl Group {
     /// | | 2 | and mounting |
     /// | output | 1 | all but the talker |
     /// | | 2 | and talker |
+    /// | noise | 1 | biases, walks, gyro instability, scale factors and misalignments of the gyros |
+    /// | | 2 | and g-sensitivity, housing, accelerometers |
     pub const fn version(self) -> u8 {
         match self {
-            Self::Installation | Self::Output => 2,
+            Self::Installation | Self::Output | Self::Noise => 2,
             _ => 1,
         }
     }
@@ -482,7 +484,7 @@ impl Settings {
                 }
             }
             Group::Encoder => self.encoder.fields(c),
-            Group::Noise => noise(&mut self.noise, c),
+            Group::Noise => noise(&mut self.noise, version, c),
         }
     }
 }
@@ -501,7 +503,7 @@ fn position(position: &mut Position, c: &mut Codec<'_>) {
     };
 }
 
-fn noise(noise: &mut ImuNoise, c: &mut Codec<'_>) {
+fn noise(noise: &mut ImuNoise, version: u8, c: &mut Codec<'_>) {
     let ImuNoise {
         gyro_bias_sd,
         accel_bias_sd,
@@ -511,6 +513,12 @@ fn noise(noise: &mut ImuNoise, c: &mut Codec<'_>) {
         gyro_instability_tau,
         gyro_scale_factor_sd,
         gyro_misalignment_sd,
+        gyro_g_sensitivity_sd,
+        gyro_housing_sd,
+        accel_scale_factor_sd,
+        accel_misalignment_sd,
+        accel_instability_sd,
+        accel_instability_tau,
     } = noise;
     c.number("gyro bias sd", gyro_bias_sd, 0.0, BIAS);
     c.number("accelerometer bias sd", accel_bias_sd, 0.0, 1.0);
@@ -521,6 +529,14 @@ fn noise(noise: &mut ImuNoise, c: &mut Codec<'_>) {
     c.number("gyro instability time", gyro_instability_tau, 0.1, 1e6);
     c.number("gyro scale factor sd", gyro_scale_factor_sd, 0.0, COLUMN);
     c.number("gyro misalignment sd", gyro_misalignment_sd, 0.0, COLUMN);
+    if version >= 2 {
+        c.number("gyro g-sensitivity sd", gyro_g_sensitivity_sd, 0.0, BIAS);
+        c.number("gyro housing sd", gyro_housing_sd, 0.0, BIAS);
+        c.number("accelerometer scale factor sd", accel_scale_factor_sd, 0.0, COLUMN);
+        c.number("accelerometer misalignment sd", accel_misalignment_sd, 0.0, COLUMN);
+        c.number("accelerometer instability", accel_instability_sd, 0.0, 1.0);
+        c.number("accelerometer instability time", accel_instability_tau, 0.1, 1e6);
+    }
 }
 
 impl Imu {

@@ -81,6 +81,12 @@ fn unusual() -> Settings {
             gyro_instability_tau: 60.0,
             gyro_scale_factor_sd: 7e-4,
             gyro_misalignment_sd: 8e-4,
+            gyro_g_sensitivity_sd: 9e-6,
+            gyro_housing_sd: 1e-6,
+            accel_scale_factor_sd: 2e-4,
+            accel_misalignment_sd: 3e-4,
+            accel_instability_sd: 4e-5,
+            accel_instability_tau: 70.0,
         },
     };
     settings.thermal.used = 3;
