@@ -413,7 +413,7 @@ impl<T: Real> GyroBiasZ<T> {
     }
 
     /// The bias to be linear about, rad/s. Zero where it is small, or where it may as well be the base that turns.
-    fn to_start_from(&self, noise: &ImuNoise<T>, earth: &Earth<T>) -> T {
+    fn start_from(self, noise: &ImuNoise<T>, earth: &Earth<T>) -> T {
         let (zero, small) = (T::zero(), T::lit(Self::SMALL));
         if self.weights <= zero || noise.gyro_bias_sd <= small {
             return zero;
@@ -656,7 +656,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         let pass = Pass {
             number: 1,
             start,
-            gyro_bias_z: gyro_bias_z.to_start_from(&self.config.filter.noise, &self.earth),
+            gyro_bias_z: gyro_bias_z.start_from(&self.config.filter.noise, &self.earth),
             level_var: T::zero(),
             length: self.queue.len(),
         };

@@ -221,6 +221,10 @@ pub const CLOSING_SD: f64 = 1.0 * units::DEG;
 /// in σ, for the loop to close.
 const CERTAIN: f64 = 16.0;
 
+/// 1σ up to which fading makes the gyro biases uncertain anew, rad/s. A bias may step while the unit runs, but not as far as
+/// from one start to the next: fading up to 250 °/h loses the z bias, and heading with it.
+const FADED_BIAS_SD: f64 = 10.0 * units::DEG_PER_HOUR;
+
 /// Change of the estimated direction of Earth's rate after which the frame is turned to it, rad.
 const TURNING: f64 = 0.5 * units::DEG;
 
@@ -272,8 +276,9 @@ pub struct FineFilter<T: Real = f32, const B: usize = ROBUST> {
     closing: bool,
     /// Where north is, while δω says it.
     north: North<T>,
-    /// Variances at the start: fading makes no state less known than that.
-    prior: [Vector3<T>; B],
+    /// Variances beyond which fading makes no state less known: those at the start, and of the gyro biases
+    /// [`FADED_BIAS_SD`] at the most.
+    faded: [Vector3<T>; B],
     interval: Interval<T, B>,
     fading: Fading<T>,
     trust: Trust<T>,
@@ -325,7 +330,14 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         prior[BG] = Vector3::repeat(least(noise.gyro_bias_sd, little) + by_gravity);
         let little_accel = noise.velocity_random_walk.max(T::lit(1e-6)) * T::lit(1e-3);
         let accel_bias = least(noise.accel_bias_sd, little_accel) + square(noise.accel_instability_sd);
-        let level = accel_bias + square(noise.accel_misalignment_sd * g);
+        // Of a rotation common to gyros and accelerometers the rotor's turning shows nothing but its axis as the gyros
+        // sense it, and s is the frame whose z that is: M_xz = M_yz = 0, and the accelerometers are misaligned by as much.
+        let misaligned = if B > MZ {
+            square(noise.gyro_misalignment_sd)
+        } else {
+            T::zero()
+        };
+        let level = accel_bias + (square(noise.accel_misalignment_sd) + misaligned) * square(g);
         prior[BA] = Vector3::new(level, level, accel_bias + square(noise.accel_scale_factor_sd * g));
         prior[DV] = Vector3::repeat(square(if B > DP {
             config.trust.prior_velocity_sd
@@ -348,7 +360,11 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         let by_force = least(noise.gyro_g_sensitivity_sd, little * T::lit(0.1));
         for (block, drive) in GYRO_TERMS {
             match drive {
-                GyroDrive::Rate(axis) => set(block, column(axis, scale, misalignment)),
+                GyroDrive::Rate(2) => set(block, Vector3::new(square(little), square(little), scale)),
+                GyroDrive::Rate(axis) => {
+                    let own = column(axis, scale, misalignment);
+                    set(block, own + Vector3::z() * misaligned);
+                }
                 GyroDrive::Force(_) => set(block, Vector3::repeat(by_force)),
                 GyroDrive::Bias | GyroDrive::Earth | GyroDrive::Housing => {}
             }
@@ -356,7 +372,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         let scale = least(noise.accel_scale_factor_sd, little_accel * T::lit(0.1));
         let misalignment = least(noise.accel_misalignment_sd, little_accel * T::lit(0.1));
         for (block, axis) in ACCEL_COLUMNS {
-            set(block, column(axis, scale, misalignment));
+            set(block, column(axis, scale, misalignment) + Vector3::z() * misaligned);
         }
         // Along the rotor's axis it is part of the bias.
         let housing = least(noise.gyro_housing_sd, little);
@@ -367,6 +383,9 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             prior[PHI].z = square(little);
             prior[WE] = Vector3::new(level, level, least(earth.w_north() * config.latitude_sd, little));
         }
+        let mut faded = prior;
+        let most = T::lit(FADED_BIAS_SD * FADED_BIAS_SD);
+        faded[BG] = prior[BG].map(|variance| variance.min(most));
         Ok(Self {
             config,
             earth,
@@ -376,7 +395,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             closed: false,
             closing: false,
             north: North::ahead(),
-            prior,
+            faded,
             interval: Interval::new(),
             fading: Fading::new(),
             trust: trust.unwrap_or(Trust::new(config.trust)),
@@ -459,7 +478,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             let r = self.measurement_var(0);
             let mut factors = self.fading.factors(policy, &excess, &m, &q, r);
             for (k, block) in factors.iter_mut().enumerate() {
-                let room = self.prior[k].component_div(&self.covariance.variances(k));
+                let room = self.faded[k].component_div(&self.covariance.variances(k));
                 *block = block.zip_map(&room, |f, room| f.min(room).max(T::one()));
             }
             fading = factors.iter().fold(T::one(), |most, f| most.max(f.max()));
@@ -756,9 +775,16 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         &self.covariance
     }
 
-    /// Covariance of the attitude errors now, rad²: that of the last measurement and the random walk since.
+    /// Covariance of the attitude errors now, rad²: that of the last measurement, the random walk since, and how far the
+    /// rotor's axis may be from z of s, which nothing here measures (see [`FineFilter::new`]).
     pub fn phi_covariance(&self) -> Matrix3<T> {
-        self.phi_now() + self.interval.phi_noise(&self.config.noise)
+        let mut p = self.phi_now() + self.interval.phi_noise(&self.config.noise);
+        if B > MZ {
+            let misaligned = self.config.noise.gyro_misalignment_sd * self.config.noise.gyro_misalignment_sd;
+            p[(0, 0)] += misaligned;
+            p[(1, 1)] += misaligned;
+        }
+        p
     }
 
     /// The other heading that explains the same measurements, if there is one: the rotor's mean axis is tilted then.
@@ -956,7 +982,11 @@ mod tests {
                     minus.correct(&error);
                     (run(plus, none).0, run(minus, none).0)
                 };
-                for (row, difference) in error(&plus, &minus).into_iter().enumerate().filter(|(row, _)| *row != WE) {
+                for (row, difference) in error(&plus, &minus)
+                    .into_iter()
+                    .enumerate()
+                    .filter(|(row, _)| *row != WE)
+                {
                     let numeric = difference / (2.0 * h);
                     let analytic: Vector3<f64> = phi[row][block].column(axis).into();
                     let scale = phi[row][block].amax().max(1e-3);

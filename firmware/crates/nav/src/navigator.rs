@@ -111,7 +111,12 @@ impl<T: Real> Navigator<T> {
     /// [`MechanizationError`] where place or velocity cannot be.
     pub fn new(config: NavigatorConfig<T>, start: Position<T>, from: &HandOver<T>) -> Result<Self, MechanizationError> {
         Ok(Self {
-            mechanization: Mechanization::new(start, from.v_n, from.estimate.c_nb * Rot::about_z(from.alpha), config.vertical)?,
+            mechanization: Mechanization::new(
+                start,
+                from.v_n,
+                from.estimate.c_nb * Rot::about_z(from.alpha),
+                config.vertical,
+            )?,
             from: *from,
             compensator: Compensator::new(),
             decimator: Decimator::new(config.decimate_to),
@@ -149,7 +154,8 @@ impl<T: Real> Navigator<T> {
         let increment = self.compensator.increment(sample);
         self.t += sample.dt;
         if let Some(joined) = self.decimator.push(&increment) {
-            self.mechanization.step(&self.from.corrections.corrected(&joined, alpha))?;
+            self.mechanization
+                .step(&self.from.corrections.corrected(&joined, alpha))?;
         }
         Ok(())
     }
