@@ -4,7 +4,9 @@ use std::io::BufRead;
 use std::path::Path;
 
 use app::record::Taken;
-use frames::units::{ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
+use frames::units::{
+    ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM, STANDARD_GRAVITY,
+};
 use nav::aligner::{Aligner, AlignerError, Event};
 use nav::model::{PAPER, ROBUST};
 use nav::noise::ImuNoise;
@@ -119,21 +121,32 @@ pub fn recorded(header: &Header, method: Method) -> Setup {
 /// The inverse of [`align::noise`].
 fn data_sheet(noise: &ImuNoise) -> Unit {
     let in_units = |figure: f32, unit: f64| f64::from(figure) / unit;
-    let instability = noise.gyro_instability_sd > 0.0;
+    let tau = |sd: f32, tau: f32, default: f64| if sd > 0.0 { tau.into() } else { default };
+    let default = Unit::default();
     Unit {
         gyro_bias_sd_deg_h: in_units(noise.gyro_bias_sd, DEG_PER_HOUR),
         accel_bias_sd_ug: in_units(noise.accel_bias_sd, MICRO_G),
         angle_random_walk_deg_sqrt_h: in_units(noise.angle_random_walk, DEG_PER_SQRT_HOUR),
         velocity_random_walk_ug_sqrt_hz: in_units(noise.velocity_random_walk, MICRO_G_PER_SQRT_HZ),
         gyro_instability_deg_h: in_units(noise.gyro_instability_sd, DEG_PER_HOUR),
-        gyro_instability_tau_s: if instability {
-            noise.gyro_instability_tau.into()
-        } else {
-            Unit::default().gyro_instability_tau_s
-        },
+        gyro_instability_tau_s: tau(
+            noise.gyro_instability_sd,
+            noise.gyro_instability_tau,
+            default.gyro_instability_tau_s,
+        ),
         gyro_scale_factor_sd_ppm: in_units(noise.gyro_scale_factor_sd, PPM),
         gyro_misalignment_sd_arcmin: in_units(noise.gyro_misalignment_sd, ARC_MIN),
-        ..Unit::default()
+        gyro_g_sensitivity_sd_deg_h_g: in_units(noise.gyro_g_sensitivity_sd, DEG_PER_HOUR / STANDARD_GRAVITY),
+        gyro_housing_sd_deg_h: in_units(noise.gyro_housing_sd, DEG_PER_HOUR),
+        accel_scale_factor_sd_ppm: in_units(noise.accel_scale_factor_sd, PPM),
+        accel_misalignment_sd_arcmin: in_units(noise.accel_misalignment_sd, ARC_MIN),
+        accel_instability_ug: in_units(noise.accel_instability_sd, MICRO_G),
+        accel_instability_tau_s: tau(
+            noise.accel_instability_sd,
+            noise.accel_instability_tau,
+            default.accel_instability_tau_s,
+        ),
+        ..default
     }
 }
 

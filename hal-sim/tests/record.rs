@@ -327,6 +327,13 @@ fn the_header_gives_the_setup_to_the_bit() {
     own.noise.gyro_instability_sd = 3.3e-6;
     own.noise.gyro_instability_tau = 123.4;
     own.noise.gyro_scale_factor_sd = 1.1e-4;
+    own.noise.gyro_misalignment_sd = 2.3e-4;
+    own.noise.gyro_g_sensitivity_sd = 4.7e-7;
+    own.noise.gyro_housing_sd = 1.9e-6;
+    own.noise.accel_scale_factor_sd = 1.3e-4;
+    own.noise.accel_misalignment_sd = 2.9e-4;
+    own.noise.accel_instability_sd = 3.1e-4;
+    own.noise.accel_instability_tau = 71.3;
     own.latitude = -0.123_456_7;
     for header in [unit.header, own] {
         let bytes = Recorder::new().header(0, &header).as_bytes().to_vec();
@@ -739,7 +746,7 @@ fn what_cannot_be_read_is_said() {
     other[header_length - 4..header_length].copy_from_slice(&sum.to_le_bytes());
     assert_eq!(
         message(&[sentence.as_bytes(), &other].concat()),
-        "u.bin:byte 19: a record of version 9 where this program reads 1: use the program that belongs to the unit's \
+        "u.bin:byte 19: a record of version 9 where this program reads 2: use the program that belongs to the unit's \
          firmware"
     );
     // A figure that cannot be is left out, and its time is a gap.
@@ -843,6 +850,30 @@ proptest! {
         prop_assert_eq!(bits(&sample_of(&rows[1])), bits(&next.sample));
         prop_assert_eq!((rows[1].encoder as f32).to_bits(), alpha.to_bits());
     }
+}
+
+/// Version 1 of a header lacks six figures of the noise: they are those of an IMU without such errors.
+#[test]
+fn a_header_of_version_1_reads() {
+    let mut sent = unit().header;
+    sent.noise.gyro_misalignment_sd = 2.3e-4;
+    sent.noise.accel_instability_sd = 3.1e-4;
+    sent.noise.accel_instability_tau = 71.3;
+    let mut bytes = Recorder::new().header(0, &sent).as_bytes().to_vec();
+    bytes.truncate(bytes.len() - record::CRC);
+    bytes.drain(record::LEAD + 94..record::LEAD + 118);
+    bytes[record::LEAD + 1] = 1;
+    bytes[1] = u8::try_from(bytes.len() - record::LEAD).unwrap();
+    let crc = drivers::crc::crc32(&bytes[1..]);
+    bytes.extend_from_slice(&crc.to_le_bytes());
+    let reader = LogReader::new(&bytes[..], "u.bin").unwrap();
+    let found = reader.header().unwrap();
+    let noise = nav::noise::ImuNoise {
+        accel_instability_sd: 0.0,
+        accel_instability_tau: 100.0,
+        ..sent.noise
+    };
+    assert_eq!((found.noise, found.firmware.as_str()), (noise, FIRMWARE));
 }
 
 /// The bytes that `docs/log.md` shows are those of the encoder.

@@ -39,6 +39,8 @@ const STATUSES: usize = 100;
 const CLOCK_US: u64 = 1_000_000_000_000_000;
 /// Shortest interval that can be, s.
 const SHORTEST: f32 = 1e-5;
+/// Bytes of the six figures of the noise that version 1 of a header lacks.
+const SINCE_VERSION_2: usize = 24;
 /// Interval where neither a sample nor the header says it, s.
 const INTERVAL: f32 = 0.005;
 
@@ -384,13 +386,13 @@ fn decode(body: &[u8]) -> Option<Frame> {
     match bytes.u8()? {
         HEADER => {
             let version = bytes.u8()?;
-            if version != VERSION {
-                return Some(Frame::Version(version));
-            }
-            (HEADER_FIXED..=HEADER_FIXED + FIRMWARE)
-                .contains(&body.len())
-                .then_some(())?;
-            let header = header(bytes).filter(|header| header.t_us <= CLOCK_US)?;
+            let fixed = match version {
+                1 => HEADER_FIXED - SINCE_VERSION_2,
+                VERSION => HEADER_FIXED,
+                _ => return Some(Frame::Version(version)),
+            };
+            (fixed..=fixed + FIRMWARE).contains(&body.len()).then_some(())?;
+            let header = header(bytes, version).filter(|header| header.t_us <= CLOCK_US)?;
             Some(Frame::Header(Box::new(header)))
         }
         STATUS => Some(Frame::Status {
@@ -416,8 +418,8 @@ fn decode(body: &[u8]) -> Option<Frame> {
     }
 }
 
-fn header(mut bytes: Bytes<'_>) -> Option<Header> {
-    Some(Header {
+fn header(mut bytes: Bytes<'_>, version: u8) -> Option<Header> {
+    let mut header = Header {
         t_us: bytes.u64()?,
         index: bytes.u16()?,
         serial: bytes.u32()?,
@@ -451,8 +453,21 @@ fn header(mut bytes: Bytes<'_>) -> Option<Header> {
             gyro_misalignment_sd: bytes.f32()?,
             ..ImuNoise::default()
         },
-        firmware: bytes.text(),
-    })
+        firmware: String::new(),
+    };
+    if version >= 2 {
+        header.noise = ImuNoise {
+            gyro_g_sensitivity_sd: bytes.f32()?,
+            gyro_housing_sd: bytes.f32()?,
+            accel_scale_factor_sd: bytes.f32()?,
+            accel_misalignment_sd: bytes.f32()?,
+            accel_instability_sd: bytes.f32()?,
+            accel_instability_tau: bytes.f32()?,
+            ..header.noise
+        };
+    }
+    header.firmware = bytes.text();
+    Some(header)
 }
 
 /// The sample before.

@@ -31,7 +31,7 @@
 //! |---|---|---|---|
 //! | sample | 41 | 202.4 | 8298 |
 //! | dt and temperature in it | 8 | 6.4 to 9.5 | 51 to 76 |
-//! | header | 100 to 124 | 1 | 124 |
+//! | header | 124 to 148 | 1 | 148 |
 //! | together | | | 8.5 kB, 74 % of 11.52 |
 //! | sentences | | | 1.3 kB, 11 % |
 //!
@@ -47,8 +47,9 @@ use nav::rotor::RotorConfig;
 use crate::mode::Status;
 use crate::sample::TimedSample;
 
-/// The version of this format. A reader refuses others.
-pub const VERSION: u8 = 1;
+/// The version of this format. A reader refuses later ones. Version 1 had six figures of the noise less: they are the last
+/// before the name of the firmware.
+pub const VERSION: u8 = 2;
 /// First byte of a frame: in no ASCII and no UTF-8 text, and none that a line at rest or broken gives.
 pub const SYNC: u8 = 0xFA;
 /// Kind of a header.
@@ -81,7 +82,7 @@ pub const CRC: usize = 4;
 /// Longest name of a version, bytes.
 pub const FIRMWARE: usize = 24;
 /// Bytes of a header's body without the name of the version.
-pub const HEADER_FIXED: usize = 94;
+pub const HEADER_FIXED: usize = 118;
 /// Bytes of a status' body without its text.
 pub const STATUS_FIXED: usize = 10;
 /// Bytes of a sample's body without what its flags announce.
@@ -224,6 +225,12 @@ impl Recorder {
             noise.gyro_instability_tau,
             noise.gyro_scale_factor_sd,
             noise.gyro_misalignment_sd,
+            noise.gyro_g_sensitivity_sd,
+            noise.gyro_housing_sd,
+            noise.accel_scale_factor_sd,
+            noise.accel_misalignment_sd,
+            noise.accel_instability_sd,
+            noise.accel_instability_tau,
         ] {
             body.float(figure);
         }
@@ -420,7 +427,7 @@ mod tests {
         for k in 0..2024_u16 {
             if k.is_multiple_of(202) {
                 let frame = recorder.header(0, &header("0.1.0+0123456789abcdefgh"));
-                assert_eq!(frame.as_bytes().len(), 124);
+                assert_eq!(frame.as_bytes().len(), 148);
                 bytes += frame.as_bytes().len();
             }
             let mut sample = sample();
