@@ -88,7 +88,7 @@ pub fn rotor() -> rotor::Config {
 /// The encoder's settings.
 pub const ENCODER: mt6835::Config = mt6835::Config {
     bandwidth: 5,
-    hysteresis: 4,
+    hysteresis: 7,
     reversed: false,
 };
 
