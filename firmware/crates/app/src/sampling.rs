@@ -44,7 +44,7 @@ const START_TIMEOUT: Duration = Duration::from_secs(3);
 /// | `stuck` | samples | the first one is a fault | 10 |
 /// | `hot` | samples | the first one is a fault | 10 |
 /// | `limit_c` | °C | nothing above freezing | 85; the ADIS16495 ends at 105 |
-/// | `clock_tolerance` | share | every clock is a fault | 0.02 |
+/// | `clock_tolerance` | share | every clock is a fault | 0.02; the ICM-42688-P's 0.04 |
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SamplingConfig {
     /// From the end of a sample's interval to its edge, µs.
