@@ -30,7 +30,7 @@ const WINDOW: u32 = 64;
 const SLIP: f32 = 0.02;
 /// More than so many in a row is a clock that is off.
 const SLIPS: u8 = 4;
-/// Longest start of an IMU: reset 250 ms, self-test 40 ms, settings.
+/// Longest start of an IMU: reset 350 ms, self-test 62 ms, settings.
 const START_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// When a sample is suspect.

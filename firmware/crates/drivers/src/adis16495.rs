@@ -39,7 +39,8 @@
 //! | base rate, DEC_RATE | 4250 Hz / (DEC_RATE + 1), ≤ 4249 | Linux (4250 allowed there) |
 //! | stall | 5 µs | Linux; PX4 gets by with 2 |
 //! | time a setting takes | 340, 65, 71, 45 µs | ADI; PX4 |
-//! | software reset, power-up, self-test | 210, 250, 20 ms | Linux |
+//! | software reset | 210 ms | Linux |
+//! | power-up, self-test | 350, 50 ms | the longer of two published figures each (Linux has 250 and 20) |
 //! | flags, self-test bits, command bits | as the constants here | ADI |
 //! | CRC | CRC-32/ISO-HDLC over 15 words, low byte first, low word sent first | Linux; PX4 |
 //! | FIR banks | 300, 100, 300, 100 Hz | Linux |
@@ -75,11 +76,11 @@ pub const BURST_MAX_HZ: u32 = 6_000_000;
 /// Above this clock a burst is announced by two identifiers, Hz.
 pub const TWO_IDS_ABOVE_HZ: u32 = 3_600_000;
 /// From power-up to the first frame, and more than a software reset takes, ms.
-pub const POWER_UP_MS: u32 = 250;
+pub const POWER_UP_MS: u32 = 350;
 /// Software reset, ms.
 pub const RESET_MS: u32 = 210;
 /// Self-test, ms.
-pub const SELF_TEST_MS: u32 = 20;
+pub const SELF_TEST_MS: u32 = 50;
 /// Samples a second before decimation, Hz.
 pub const BASE_RATE_HZ: u32 = 4250;
 /// Largest DEC_RATE: one sample a second.
@@ -675,7 +676,7 @@ mod tests {
     #[test]
     fn reset_waits_and_forgets_the_page() {
         let mut bus = Mock::new(&[page(3), write(0x02, 0x0080), page(3), read(0x0C, 0)].concat());
-        let mut delay = CheckedDelay::new(&[Wait::async_delay_ms(250)]);
+        let mut delay = CheckedDelay::new(&[Wait::async_delay_ms(350)]);
         let mut imu = Adis16495::new(bus.clone(), delay.clone());
         block_on(imu.reset()).unwrap();
         block_on(imu.read(register::DEC_RATE)).unwrap();
@@ -718,7 +719,7 @@ mod tests {
     #[test]
     fn self_test_waits() {
         let mut bus = Mock::new(&self_test_steps(0, 0).concat());
-        let mut delay = CheckedDelay::new(&[Wait::async_delay_ms(25)]);
+        let mut delay = CheckedDelay::new(&[Wait::async_delay_ms(62)]);
         block_on(Adis16495::new(bus.clone(), delay.clone()).self_test()).unwrap();
         bus.done();
         delay.done();
