@@ -574,7 +574,7 @@ mod tests {
     type Steps = Vec<embedded_hal_mock::eh1::spi::Transaction<u8>>;
 
     fn frame(sent: u16, received: u16) -> Steps {
-        exchange(&sent.to_be_bytes(), &received.to_be_bytes(), STALL_NS)
+        exchange(&sent.to_be_bytes(), &received.to_be_bytes(), 5_000)
     }
 
     fn page(number: u16) -> Steps {
@@ -789,7 +789,7 @@ mod tests {
 
     #[test]
     fn a_burst_is_one_transaction_and_selects_its_page_once() {
-        let burst_step = |ids| exchange(&burst_request(), &burst(ids, &DATA), STALL_NS);
+        let burst_step = |ids| exchange(&burst_request(), &burst(ids, &DATA), 5_000);
         let samples = on_bus(&[page(0), burst_step(1), burst_step(2)], async |imu| {
             [imu.sample().await.unwrap(), imu.sample().await.unwrap()]
         });
@@ -814,7 +814,7 @@ mod tests {
     fn a_wrong_check_sum_carries_both() {
         let mut reply = burst(2, &DATA);
         reply[20] ^= 0x10;
-        let steps = [page(0), exchange(&burst_request(), &reply, STALL_NS)];
+        let steps = [page(0), exchange(&burst_request(), &reply, 5_000)];
         let Err(Error::Crc { computed, received }) = on_bus(&steps, async |imu| imu.sample().await) else {
             panic!("accepted");
         };
@@ -824,7 +824,7 @@ mod tests {
 
     #[test]
     fn silence_and_nonsense_select_the_page_again() {
-        let steps = |reply: [u8; BURST_LEN]| exchange(&burst_request(), &reply, STALL_NS);
+        let steps = |reply: [u8; BURST_LEN]| exchange(&burst_request(), &reply, 5_000);
         on_bus(
             &[page(0), steps([0xFF; BURST_LEN]), steps([0; BURST_LEN])],
             async |imu| {
