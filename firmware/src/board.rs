@@ -241,6 +241,8 @@ impl Board {
 
         let mut port = usart::Config::default();
         port.baudrate = BAUD;
+        // Open, the line would take the PWM beside it for characters.
+        port.rx_pull = Pull::Up;
         let Ok(serial) = Uart::new(
             units.serial,
             pins.serial_rx,

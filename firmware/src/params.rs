@@ -88,7 +88,7 @@ pub fn rotor() -> rotor::Config {
 /// The encoder's settings.
 pub const ENCODER: mt6835::Config = mt6835::Config {
     bandwidth: 5,
-    hysteresis: 4,
+    hysteresis: 7,
     reversed: false,
 };
 
@@ -112,6 +112,7 @@ pub fn sampling() -> SamplingConfig {
     let config = SamplingConfig::default();
     #[cfg(feature = "icm42688")]
     let config = SamplingConfig {
+        clock_tolerance: drivers::icm42688::CLOCK_TOLERANCE,
         tracker: drivers::sequence::TrackerConfig {
             // No counter in this part: lost samples are told by the time between edges.
             period_us: imu().rate.period_us(),

@@ -1,14 +1,14 @@
 //! ICM-42688-P at its registers. See [`drivers::icm42688`] for protocol, figures and their sources.
 //!
 //! Modelled: banks; address that counts up; reset and its event; power modes with the time the sensors
-//! take to start and the marker of invalid data until then; ranges, rates and quantisation; the data-ready
-//! bit that reading clears, and the line with the conditions under which it works; the response to
+//! take to start; until then the marker of invalid data after a reset, and the last sample after a pause;
+//! ranges, which end at −32766 and +32767, rates and quantisation; the data-ready bit that reading clears, and the line with the conditions under which it works; the response to
 //! self-test.
 //!
 //! Not modelled: FIFO, filters (the settings are kept, no more), AFSR, low-power modes.
 
 use drivers::icm42688::{
-    DATA_LEN, DATA_READY_ON_INT1, ForceRange, INVALID, READ, Rate, RateRange, Register, SOFT_RESET, START_MS,
+    DATA_LEN, DATA_READY_ON_INT1, ForceRange, INVALID, LOWEST, READ, Rate, RateRange, Register, SOFT_RESET, START_MS,
     TEMPERATURE_PER_COUNT_C, TEMPERATURE_ZERO_C, WHO_AM_I, event, register,
 };
 use frames::units::{DEG, STANDARD_GRAVITY};
@@ -75,6 +75,7 @@ impl Icm42688 {
         self.force_from_us = None;
         self.samples = SampleClock::new(self.ready_from_us, 1, BASE_HZ);
         for (register, value) in [
+            (register::DRIVE_CONFIG, 0x05),
             (register::INTF_CONFIG0, 0x30),
             (register::INTF_CONFIG1, 0x91),
             (register::GYRO_CONFIG0, 0x06),
@@ -102,6 +103,15 @@ impl Icm42688 {
         }
     }
 
+    /// What the registers hold, in the order of [`store`](Self::store).
+    fn words(&self) -> [i16; 7] {
+        let first = usize::from(register::TEMP_DATA1.address);
+        core::array::from_fn(|k| {
+            let at = first + 2 * k;
+            i16::from_be_bytes([self.banks[0][at], self.banks[0][at + 1]])
+        })
+    }
+
     fn latch(&mut self, now_us: u64) {
         let rate_unit = RateRange::from_code(*self.at(register::GYRO_CONFIG0) >> 5).per_count();
         let force_unit = ForceRange::from_code(*self.at(register::ACCEL_CONFIG0) >> 5).per_count();
@@ -115,7 +125,7 @@ impl Icm42688 {
         if !self.faults.stuck_data {
             let temperature_c = self.faults.temperature_c.unwrap_or(self.motion.temperature_c);
             let limit = i32::from(i16::MAX);
-            let mut words = [0; 7];
+            let mut words = self.words();
             words[0] = quantise(temperature_c - TEMPERATURE_ZERO_C, TEMPERATURE_PER_COUNT_C, limit) as i16;
             for axis in 0..3 {
                 let sensors = [
@@ -136,12 +146,14 @@ impl Icm42688 {
                     } else {
                         0.0
                     };
-                    words[first + axis] = if !started(from) {
-                        INVALID
-                    } else if saturated & bit != 0 {
+                    // What has not started leaves what is there: the last sample of before, or the marker.
+                    if !started(from) {
+                        continue;
+                    }
+                    words[first + axis] = if saturated & bit != 0 {
                         i16::MAX
                     } else {
-                        quantise(motion[axis] + response, unit, limit) as i16
+                        quantise(motion[axis] + response, unit, limit).max(i32::from(LOWEST)) as i16
                     };
                 }
             }
@@ -405,6 +417,42 @@ mod tests {
         block_on(imu.configure(&Config::default())).unwrap();
         wait_for_edge(&bench);
         block_on(imu.sample()).unwrap();
+    }
+
+    #[test]
+    fn clipping_is_seen_at_both_ends() {
+        let (bench, mut imu) = started(&Config::default());
+        for sign in [1.0, -1.0] {
+            bench.with(|part| {
+                part.set_motion(Motion {
+                    rate: [0.0, 0.0, sign * 40.0 * DEG],
+                    force: [0.0, sign * 3.0 * STANDARD_GRAVITY, 0.0],
+                    temperature_c: 25.0,
+                });
+            });
+            wait_for_edge(&bench);
+            let raw = block_on(imu.sample()).unwrap();
+            assert_eq!(raw.status.saturated, Channels::RATE_Z | Channels::FORCE_Y);
+            assert_eq!(raw.rate.0[2], if sign > 0.0 { 32767 } else { -32766 });
+        }
+    }
+
+    #[test]
+    fn after_a_pause_the_registers_hold_what_was() {
+        let (bench, mut imu) = started(&Config::default());
+        bench.with(|part| part.set_motion(motion()));
+        wait_for_edge(&bench);
+        let before = block_on(imu.sample()).unwrap();
+        bench.with(|part| part.set_motion(Motion::default()));
+        block_on(imu.write(register::PWR_MGMT0, 0)).unwrap();
+        block_on(imu.write(register::PWR_MGMT0, 0x0F)).unwrap();
+        bench.advance_to_us(bench.now_us() + 20_000);
+        // Nothing marks it.
+        assert_eq!(block_on(imu.sample()).unwrap().rate, before.rate);
+        // The driver waits for longer than the part takes.
+        block_on(imu.configure(&Config::default())).unwrap();
+        wait_for_edge(&bench);
+        assert_eq!(block_on(imu.sample()).unwrap().rate.0, [0; 3]);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! MT6835 at its registers. See [`drivers::mt6835`] for protocol, figures and their sources.
 //!
-//! Modelled: register reads and acknowledged writes, the angle burst with warnings and CRC, direction of
+//! Modelled: register reads, writes that are answered by nothing, the angle burst with warnings and CRC, direction of
 //! rotation, an error made of harmonics.
 //!
 //! Not modelled: bandwidth and delay of the part, noise (the simulator puts it into the angle), the
@@ -8,7 +8,7 @@
 
 use core::f64::consts::TAU;
 
-use drivers::mt6835::{ACKNOWLEDGE, AngleCounts, COUNTS_PER_TURN, Reading, Warnings, burst, operation, register};
+use drivers::mt6835::{AngleCounts, COUNTS_PER_TURN, Reading, Warnings, burst, operation, register};
 
 use super::SpiTarget;
 
@@ -23,7 +23,7 @@ pub struct EncoderFaults {
     pub frozen: bool,
     /// Warnings sent with every angle.
     pub warnings: Warnings,
-    /// Writes are acknowledged and lost.
+    /// Writes are lost.
     pub ignores_writes: bool,
 }
 
@@ -48,7 +48,7 @@ impl Mt6835 {
     /// A part with its supply on, at angle 0.
     pub fn new() -> Self {
         let mut registers = [0; 0x120];
-        registers[usize::from(register::DIRECTION_HYSTERESIS)] = 4;
+        registers[usize::from(register::DIRECTION_HYSTERESIS)] = 7;
         registers[usize::from(register::BANDWIDTH)] = 5;
         Self {
             faults: EncoderFaults::default(),
@@ -121,13 +121,10 @@ impl SpiTarget for Mt6835 {
                     }
                 }
                 operation::WRITE => {
-                    if let (Some(to), Some(register), Some(value)) =
-                        (reply.first_mut(), self.registers.get_mut(address), data.first())
+                    if let (Some(register), Some(value)) = (self.registers.get_mut(address), data.first())
+                        && !self.faults.ignores_writes
                     {
-                        if !self.faults.ignores_writes {
-                            *register = *value;
-                        }
-                        *to = ACKNOWLEDGE;
+                        *register = *value;
                     }
                 }
                 _ => {}
@@ -236,6 +233,19 @@ mod tests {
     fn zero_is_a_good_angle_on_a_live_part() {
         let (_bench, mut encoder) = started();
         assert_eq!(block_on(encoder.read()).unwrap().angle.get(), 0);
+    }
+
+    #[test]
+    fn a_byte_write_is_answered_by_nothing() {
+        let mut part = Mt6835::new();
+        let mut reply = [0xFF; 3];
+        part.transfer(0, &[0x60, 0x01, MARK], &mut reply);
+        assert_eq!(reply, [0; 3]);
+        part.transfer(0, &[0x30, 0x01, 0], &mut reply);
+        assert_eq!(reply, [0, 0, MARK]);
+        // As delivered: hysteresis 7, which the default of the driver leaves alone.
+        part.transfer(0, &[0x30, 0x0D, 0], &mut reply);
+        assert_eq!((reply[2] & 0b111, Config::default().hysteresis), (7, 7));
     }
 
     #[test]

@@ -148,7 +148,7 @@ fn seeds() -> Vec<Seed> {
             4,
             0,
             0,
-            mt6835::ACKNOWLEDGE,
+            0,
             0,
             0,
             mt6835::MARK,

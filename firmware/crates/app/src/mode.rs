@@ -896,6 +896,26 @@ mod tests {
     }
 
     #[test]
+    fn a_reset_outranks_a_latched_fault() {
+        let latched = in_mode(Mode::Fault(Faulted {
+            fault: Fault::Driver,
+            latched: true,
+        }));
+        let overrun = Fault::TaskOverrun {
+            task: crate::fault::Task::Motor,
+            silent_ms: 21,
+        };
+        assert_eq!(overrun.rule().response, Response::Reset);
+        let (state, actions) = latched.step(&Input::Fault(overrun), 5);
+        assert_eq!(state.status().fault, Some(overrun));
+        assert!(state.wants_reset() && !latched.wants_reset());
+        assert_eq!(actions.first(), Some(&Action::Cut));
+        // A fault that only latches does not take the place of another.
+        let (state, _) = latched.step(&Input::Fault(Fault::EncoderInvalid), 5);
+        assert_eq!(state.status().fault, Some(Fault::Driver));
+    }
+
+    #[test]
     fn tries_are_counted_latched_and_forgiven() {
         let fault = Input::Fault(Fault::Driver);
         let (state, _) = run(

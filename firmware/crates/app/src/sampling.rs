@@ -30,7 +30,7 @@ const WINDOW: u32 = 64;
 const SLIP: f32 = 0.02;
 /// More than so many in a row is a clock that is off.
 const SLIPS: u8 = 4;
-/// Longest start of an IMU: reset 250 ms, self-test 40 ms, settings.
+/// Longest start of an IMU: reset 350 ms, self-test 62 ms, settings.
 const START_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// When a sample is suspect.
@@ -44,7 +44,7 @@ const START_TIMEOUT: Duration = Duration::from_secs(3);
 /// | `stuck` | samples | the first one is a fault | 10 |
 /// | `hot` | samples | the first one is a fault | 10 |
 /// | `limit_c` | °C | nothing above freezing | 85; the ADIS16495 ends at 105 |
-/// | `clock_tolerance` | share | every clock is a fault | 0.02 |
+/// | `clock_tolerance` | share | every clock is a fault | 0.02; the ICM-42688-P's 0.04 |
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SamplingConfig {
     /// From the end of a sample's interval to its edge, µs.

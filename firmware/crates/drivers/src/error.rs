@@ -47,13 +47,6 @@ pub enum Error {
         /// The value refused.
         value: u16,
     },
-    /// A write was not acknowledged.
-    Acknowledge {
-        /// The byte that acknowledges.
-        expected: u8,
-        /// The byte read.
-        found: u8,
-    },
     /// A burst does not begin as it must.
     Header {
         /// The word in the place of the burst's identifier.
@@ -125,11 +118,6 @@ wording!(Error, |self, say| {
             "{:#06x} is no setting for register {:#06x}: correct the configuration",
             value,
             address
-        ),
-        Self::Acknowledge { expected, found } => say!(
-            "write acknowledged with {:#04x} instead of {:#04x}: check MOSI and the SPI mode, then retry",
-            found,
-            expected
         ),
         Self::Header { found } => say!(
             "burst begins with {:#06x}: select page 0, keep the stall time, retry once",

@@ -36,7 +36,10 @@
 //! | 132.48 counts/°C from 25 °C, FIFO at ±2000 °/s and ±16 g only | PX4 |
 //! | range codes; 16 bits span the range | `kriswiner/ICM42688` and its descendants |
 //! | rate codes, anti-alias figures a rate, AFSR off | `icm426xx` 0.4.0 |
-//! | self-test: ±250 °/s and ±2 g, 60 °/s, 50 to 1200 mg, 200 ms; −32768 marks invalid data | TDK `Ixm42xxxSelfTest.c` (IIM-42652, same family) |
+//! | with FIFO_HOLD_LAST_DATA_EN off a valid sample is −32766 to +32767, −32768 marks invalid data | data sheet DS-000347, 12.8, as public code quotes it |
+//! | slew rates of the outputs, codes of DRIVE_CONFIG | Linux `inv_icm42600.h`, whose SPI code takes the same codes |
+//! | clock ±1.5 %, and ±2 % over temperature | data sheet DS-000347, electrical characteristics; not at hand |
+//! | self-test: ±250 °/s and ±2 g, 60 °/s, 50 to 1200 mg, 200 ms | TDK `Ixm42xxxSelfTest.c` (IIM-42652, same family) |
 //!
 //! # Not verified
 //!
@@ -62,6 +65,10 @@ pub const WHO_AM_I: u8 = 0x47;
 pub const READ: u8 = 0x80;
 /// A data word that holds nothing: the sensor has not started.
 pub const INVALID: i16 = i16::MIN;
+/// The lowest count of a sample: a sensor at the negative end of its range.
+pub const LOWEST: i16 = -32766;
+/// How far the part's clock may be off, as a share: 1.5 % as delivered and 2 % over temperature are 3.53 % together.
+pub const CLOCK_TOLERANCE: f32 = 0.04;
 /// Software reset, ms: twice the 1 ms the part needs.
 pub const RESET_MS: u32 = 2;
 /// From power-on of the gyroscopes to data, ms.
@@ -114,6 +121,8 @@ pub mod register {
     pub const BANK_SELECT: u8 = 0x76;
     /// Software reset.
     pub const DEVICE_CONFIG: Register = Register::new(0, 0x11);
+    /// Slew rates of the part's outputs.
+    pub const DRIVE_CONFIG: Register = Register::new(0, 0x13);
     /// The INT1 line: mode, drive, polarity.
     pub const INT_CONFIG: Register = Register::new(0, 0x14);
     /// First byte of a sample.
@@ -168,13 +177,17 @@ pub const SOFT_RESET: u8 = 1;
 pub const POWER_LOW_NOISE: u8 = 0b1111;
 /// SELF_TEST_CONFIG: all six sensors excited, and the accelerometers' supply for it.
 pub const EXCITE_ALL: u8 = 0b111_1111;
+/// DRIVE_CONFIG: SPI and INT edges of 12 to 36 ns. Those of reset, below 2 ns, ring on a cable and couple into its
+/// neighbours; half a period of the bus is 95 ns.
+const SLEW_12_TO_36_NS: u8 = 0b001;
 /// INTF_CONFIG0: big-endian, I²C off.
 const BIG_ENDIAN_SPI_ONLY: u8 = 0x33;
 /// INTF_CONFIG1: bits 7 and 6. AFSR changes the gyroscopes' range on the fly and stalls the output while
 /// it does.
 const AFSR_MASK: u8 = 0xC0;
 const AFSR_OFF: u8 = 0x40;
-/// INT_CONFIG: INT1 as pulse, push-pull, active high.
+/// INT_CONFIG: INT1 as pulse, push-pull, active high. Not latched: one lost transfer would leave the line high, and no
+/// edge would come again.
 const INT1_PULSE_PUSH_PULL_HIGH: u8 = 0b011;
 /// INT_CONFIG1: bit 4 must be cleared for INT1 to work.
 const INT_ASYNC_RESET: u8 = 1 << 4;
@@ -340,7 +353,7 @@ pub struct Config {
 impl Config {
     /// The settings as register, mask of our bits and value, in the order of writing: banks in turn, the
     /// power last, because most settings may change only while the sensors are off.
-    pub const fn settings(&self) -> [(Register, u8, u8); 14] {
+    pub const fn settings(&self) -> [(Register, u8, u8); 15] {
         use register as r;
         let (delt, deltsqr, shift) = self.rate.anti_alias();
         [
@@ -350,6 +363,7 @@ impl Config {
             (r::ACCEL_CONFIG_STATIC2, 0x7F, delt << 1),
             (r::ACCEL_CONFIG_STATIC3, 0xFF, deltsqr),
             (r::ACCEL_CONFIG_STATIC4, 0xFF, shift << 4),
+            (r::DRIVE_CONFIG, 0x07, SLEW_12_TO_36_NS),
             (r::INTF_CONFIG0, 0xFF, BIG_ENDIAN_SPI_ONLY),
             (r::INTF_CONFIG1, AFSR_MASK, AFSR_OFF),
             (r::INT_CONFIG, 0x07, INT1_PULSE_PUSH_PULL_HIGH),
@@ -534,7 +548,8 @@ impl<SPI: SpiDevice, D: DelayNs> Imu for Icm42688<SPI, D> {
         }
     }
 
-    /// Ends with the sensors on and started, [`START_MS`] later.
+    /// Ends with the sensors on and started, one and a half times [`START_MS`] later: until then the registers may
+    /// hold samples of before, which nothing marks.
     async fn configure(&mut self, config: &Config) -> Result<(), Error> {
         self.set(register::PWR_MGMT0, 0x3F, 0).await?;
         for (register, mask, value) in config.settings() {
@@ -621,7 +636,7 @@ pub fn parse_data(data: &[u8; DATA_LEN]) -> Result<RawSample, Error> {
     if !channels.is_empty() {
         return Err(Error::Invalid { channels });
     }
-    let at_end = |c: i32| c.abs() >= i32::from(i16::MAX);
+    let at_end = |c: i32| c <= i32::from(LOWEST) || c >= i32::from(i16::MAX);
     Ok(RawSample {
         rate,
         force,
@@ -733,6 +748,7 @@ mod tests {
             set_all(0x04, 4),
             set_all(0x05, 0xD0),
             bank(0),
+            set(0x13, 0x05, 0x01),
             set_all(0x4C, 0x33),
             set(0x4D, 0x91, 0x51),
             set(0x14, 0x38, 0x3B),
@@ -818,9 +834,17 @@ mod tests {
 
     #[test]
     fn saturation_comes_with_the_sample() {
-        let words = [0, 32767, 0, 0, -32767, 32766, 0];
+        let words = [0, 32767, -32765, -32766, -32767, 32766, -32766];
         let raw = parse_data(&data(words, 0x08)).unwrap();
-        assert_eq!(raw.status.saturated, Channels::FORCE_X | Channels::RATE_X);
+        let ends = Channels::FORCE_X | Channels::FORCE_Z | Channels::RATE_X | Channels::RATE_Z;
+        assert_eq!(raw.status.saturated, ends);
+    }
+
+    #[test]
+    fn a_sound_clock_is_within_its_tolerance() {
+        for share in [1.015 * 1.02, 0.985 * 0.98] {
+            assert!((share - 1.0_f32).abs() < CLOCK_TOLERANCE);
+        }
     }
 
     #[test]

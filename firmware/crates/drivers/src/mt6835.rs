@@ -3,8 +3,9 @@
 //! # Bus
 //!
 //! SPI mode 3, most significant bit first, ≤ 16 MHz. A command is four bits of operation and twelve of
-//! address. A register is one byte; a write is acknowledged in the same three bytes. The angle is read
-//! in one burst of six:
+//! address. A register is one byte, and a write of it is answered by nothing: it is read back. The part sends
+//! 0x55 only for the operations that take no byte, programming of the EEPROM and auto-zero, which are not used
+//! here. The angle is read in one burst of six:
 //!
 //! ```text
 //! MOSI  0xA0 0x03   0        0       0           0
@@ -21,15 +22,17 @@
 //!
 //! | figure | source |
 //! |---|---|
-//! | operations, register addresses, 0x55 as acknowledgement, warning bits | SimpleFOC `MT6835.h` |
+//! | operations, register addresses, warning bits | SimpleFOC `MT6835.h` |
+//! | 0x55 after EEPROM programming (0xC) and auto-zero (0x5) only | SimpleFOC `MT6835.cpp`, `setZeroFromCurrentPosition` and `writeEEPROM`: the only two that look for it |
+//! | hysteresis code 7 (0.011°) as delivered, 4 is none | public drivers of the part; data sheet not at hand |
 //! | CRC: polynomial, initial value, order of bits | SimpleFOC `MT6835.cpp` |
 //! | 16 MHz | the project's design notes; not found in a source at hand |
 //!
 //! # Not verified
 //!
 //! Nothing here has run on a part. Open in particular: that a write takes operation 0b0110 (SimpleFOC
-//! names it, but sends the operation of a read) and that the acknowledgement comes in the third byte of
-//! the write itself.
+//! names it, but sends the operation of a read), and what a byte write shows in its third byte. Nothing depends on
+//! the latter: the register is read back.
 //!
 //! Not used: the part's own calibration and its table (the error is corrected by
 //! [`Harmonics`](crate::harmonics::Harmonics), which can be inspected), the incremental outputs, the
@@ -44,8 +47,6 @@ use crate::crc::crc8;
 pub const COUNTS_PER_TURN: u32 = 1 << 21;
 /// What identifies the part once it was written, in [`register::USER_ID`].
 pub const MARK: u8 = 0x5A;
-/// Acknowledges a write.
-pub const ACKNOWLEDGE: u8 = 0x55;
 /// Bytes of an angle burst.
 pub const BURST_LEN: usize = 6;
 
@@ -163,7 +164,7 @@ pub struct Reading {
 /// | field | unit | zero means | sane value |
 /// |---|---|---|---|
 /// | `bandwidth` | code 0–7 | the part's code 0 | the part's default, 5 |
-/// | `hysteresis` | code 0–7 | the part's code 0 | the part's default, 4; it is for the incremental outputs |
+/// | `hysteresis` | code 0–7 | the part's code 0, 0.022° | as delivered, 7 (0.011°); 4 is none |
 /// | `reversed` | | the angle grows as the part has it | so that α grows counter-clockwise from above |
 ///
 /// What the codes stand for was not found in a source at hand: set them from the data sheet.
@@ -182,7 +183,7 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             bandwidth: 5,
-            hysteresis: 4,
+            hysteresis: 7,
             reversed: false,
         }
     }
@@ -223,12 +224,6 @@ impl<SPI: SpiDevice> Mt6835<SPI> {
         let [high, low] = command(operation::WRITE, register);
         let mut buffer = [high, low, value];
         self.exchange(&mut buffer).await?;
-        if buffer[2] != ACKNOWLEDGE {
-            return Err(Error::Acknowledge {
-                expected: ACKNOWLEDGE,
-                found: buffer[2],
-            });
-        }
         let read = self.read_register(register).await?;
         if read != value {
             return Err(Error::Register {
@@ -246,7 +241,7 @@ impl<SPI: SpiDevice> Mt6835<SPI> {
     /// Cancellation: safe to repeat.
     ///
     /// # Errors
-    /// [`Error::Acknowledge`], [`Error::Register`], [`Error::Bus`].
+    /// [`Error::Register`], [`Error::Bus`].
     pub async fn identify(&mut self) -> Result<(), Error> {
         self.write_register(register::USER_ID, MARK).await
     }
@@ -256,8 +251,7 @@ impl<SPI: SpiDevice> Mt6835<SPI> {
     /// Cancellation: not safe. A dropped call leaves some settings written: call it again.
     ///
     /// # Errors
-    /// [`Error::Config`] before anything is written, [`Error::Acknowledge`], [`Error::Register`],
-    /// [`Error::Bus`].
+    /// [`Error::Config`] before anything is written, [`Error::Register`], [`Error::Bus`].
     pub async fn configure(&mut self, config: &Config) -> Result<(), Error> {
         let direction = (u8::from(config.reversed) << 3) | (config.hysteresis & 0b111);
         let settings = [
@@ -409,15 +403,11 @@ mod tests {
 
     #[test]
     fn identify_marks_and_finds_the_mark() {
-        let steps = [write_register(0x01, 0x5A, 0x55), read_register(0x01, 0x5A)];
-        assert_eq!(on_bus(&steps, async |e| e.identify().await), Ok(()));
-        assert_eq!(
-            on_bus(&[write_register(0x01, 0x5A, 0xFF)], async |e| e.identify().await),
-            Err(Error::Acknowledge {
-                expected: 0x55,
-                found: 0xFF
-            })
-        );
+        // Whatever the line shows during a byte write is no answer.
+        for shown in [0x00, 0x55, 0xFF] {
+            let steps = [write_register(0x01, 0x5A, shown), read_register(0x01, 0x5A)];
+            assert_eq!(on_bus(&steps, async |e| e.identify().await), Ok(()));
+        }
         let steps = [write_register(0x01, 0x5A, 0x55), read_register(0x01, 0x00)];
         assert_eq!(
             on_bus(&steps, async |e| e.identify().await),
@@ -433,10 +423,10 @@ mod tests {
     fn configure_keeps_foreign_bits() {
         let steps = [
             read_register(0x0D, 0xA5),
-            write_register(0x0D, 0xAA, 0x55),
+            write_register(0x0D, 0xAA, 0),
             read_register(0x0D, 0xAA),
             read_register(0x11, 0xF8),
-            write_register(0x11, 0xFF, 0x55),
+            write_register(0x11, 0xFF, 0),
             read_register(0x11, 0xFF),
         ];
         let config = Config {

@@ -319,6 +319,22 @@ fn blocked_rotor() {
     );
 }
 
+/// Held fast, the rotor gets all of the limit and no more: beyond it the motor burns.
+#[test]
+fn the_voltage_ends_at_its_limit() {
+    for limit in [2.0, 5.0] {
+        let mut ideal = Ideal::running(1.0);
+        ideal.rotor.config.motor.voltage_limit = limit;
+        ideal.rotor.config.limits.stall_us = 1_000_000;
+        ideal.blocked = true;
+        let mut most = 0.0_f32;
+        while ideal.kind() == Kind::Running {
+            most = most.max(ideal.tick().voltage.abs());
+        }
+        assert!((most - limit).abs() < 1e-6, "{most} of {limit} V");
+    }
+}
+
 #[test]
 fn outside_the_travel() {
     for angle in [-6.5, 366.5] {
