@@ -13,7 +13,7 @@ use crate::Feed;
 /// what the number or the word says, in its range, and comes back from flash. A sentence that ends in a tilde gets its check sum.
 pub fn line(data: &[u8]) {
     let found = parse(data);
-    if let [b'$', body @ ..] = data {
+    if let [b'$' | b'!' | b'\\', body @ ..] = data {
         assert_eq!(found, Ok(nmea_in::parse(data).ok().map(Request::Fix)));
         if let [body @ .., b'~'] = body {
             let sum = body.iter().fold(0, |sum, byte| sum ^ byte);
@@ -105,23 +105,31 @@ pub fn bytes(data: &[u8]) {
     let every = usize::from(feed.u8());
     let mut buffer = LineBuffer::new();
     let (mut line, mut refused) = (Vec::new(), None);
+    let (mut last, mut binary) = (0, false);
     for (k, byte) in feed.0.iter().enumerate() {
         if every & 1 == 1 && k % every == 0 {
             buffer.garble();
             refused = refused.or(Some(LineError::Garbled));
         }
         let found = buffer.push(*byte);
+        binary |= last == 0xB5 && *byte == 0x62;
+        last = *byte;
         match byte {
             b'\r' | b'\n' => {
-                let sentence = line.first() == Some(&b'$');
+                let sentence = matches!(line.first(), Some(b'$' | b'!' | b'\\'));
                 let expected = match refused.take() {
                     Some(_) if sentence => None,
                     Some(error) => Some(Err(error)),
                     None => parse(&line).transpose(),
                 };
-                assert_eq!(found, expected);
+                let hidden = binary && matches!(expected, Some(Err(_)));
+                assert_eq!(found, expected.filter(|_| !hidden));
+                binary = hidden;
                 line.clear();
                 continue;
+            }
+            b'$' | b'!' => {
+                (line, refused, binary) = (vec![*byte], None, false);
             }
             0x08 | 0x7F => drop(line.pop()),
             b'\t' | b' '..=b'~' if line.len() < nmea_in::LONGEST => line.push(*byte),

@@ -9,7 +9,7 @@
 use embassy_futures::select::{Either3, select3};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Timer};
-use frames::{Body, Vec3};
+use frames::{Body, Vec3, math};
 use nav::aligner::{self, Align, AlignerConfig, NotReady};
 use nav::calibration::{Calibration, CalibrationConfig, CalibrationError, Calibrator, REST_TRAVEL};
 use nav::earth::OMEGA_IE;
@@ -154,6 +154,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
     let mut unseen = Unseen::default();
     let mut tap = Tap::new(config.noise, config.schedule, shared.settings().position());
     let mut ground = Ground::default();
+    let mut doubt = Doubt::default();
     let mut since_published = 0;
     loop {
         shared.check_in(Task::Alignment);
@@ -162,6 +163,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
                 // What waits was measured before.
                 shared.forget_samples();
                 work = begin(shared, aligner, &mut tap, job, &config);
+                doubt = Doubt::default();
                 let settings = shared.settings();
                 correction = Correction {
                     imu: settings.imu,
@@ -175,7 +177,15 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
             Either3::Third(()) => continue,
         };
         while let Ok(fix) = shared.fixes.try_receive() {
-            if let Some(input) = heed(&mut work, &mut *aligner, &mut tap, &mut ground, &fix, sample.t_us) {
+            if let Some(input) = heed(
+                &mut work,
+                &mut *aligner,
+                &mut tap,
+                &mut ground,
+                &mut doubt,
+                &fix,
+                sample.t_us,
+            ) {
                 shared.tell(input);
             }
         }
@@ -207,7 +217,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
         since_published += 1;
         if since_published >= config.publish_every {
             since_published = 0;
-            let mut navigation = navigation(sample.t_us, &work, aligner);
+            let mut navigation = navigation(sample.t_us, &work, aligner, doubt.is_in_doubt(sample.t_us));
             if let Some(estimate) = &mut navigation.estimate {
                 estimate.attitude = mounting.vehicle(&estimate.c_nb);
             }
@@ -301,12 +311,99 @@ impl Ground {
     }
 }
 
+/// Fixes in a row that must agree before they are believed against dead reckoning.
+const AGREE: u8 = 3;
+/// A fix that contradicts dead reckoning is in doubt for this long where no other follows, µs.
+const DOUBT_US: u64 = 10_000_000;
+/// How far a fix may be from dead reckoning, m and m/s, far above both σ at the start, …
+const PLACE_OFF: f32 = 200.0;
+const VELOCITY_OFF: f32 = 5.0;
+/// … and by how much more each second since the last fix, m/s²: 1 mg, an attitude error of 1 mrad in level.
+const GROWTH: f32 = 0.01;
+/// Mean radius of Earth, m.
+const EARTH: f32 = 6_371_000.0;
+
+/// Where a base is and how it moves over ground: latitude and longitude, rad, where known, and m/s north and east.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Where {
+    place: Option<[f32; 2]>,
+    north_east: [f32; 2],
+}
+
+impl Where {
+    /// Whether another is within `metres` and `speed`, m/s, of it; an unknown place contradicts none.
+    fn is_near(&self, other: &Self, metres: f32, speed: f32) -> bool {
+        let [north, east] = [0, 1].map(|k| self.north_east[k] - other.north_east[k]);
+        let apart = self.place.zip(other.place).map_or(0.0, |(a, b)| {
+            let north = a[0] - b[0];
+            let east = math::wrap_pi(a[1] - b[1]) * math::sin_cos(a[0]).1;
+            EARTH * math::sqrt(north * north + east * east)
+        });
+        apart <= metres && math::sqrt(north * north + east * east) <= speed
+    }
+}
+
+/// Holds what a receiver says against dead reckoning: a jump is taken when several fixes agree.
+#[derive(Debug, Default)]
+struct Doubt {
+    /// The fix that contradicted last, and when, µs.
+    held: Option<(Where, u64)>,
+    /// How many in a row have agreed with it, itself among them.
+    agreed: u8,
+    /// When a fix was taken, µs.
+    taken_us: Option<u64>,
+}
+
+impl Doubt {
+    /// Whether a fix at `t_us` is to be taken; `reckoned` is what dead reckoning says, `since` the time it has gone on
+    /// without any fix, s.
+    fn takes(&mut self, fix: &Where, reckoned: &Where, since: f32, t_us: u64) -> bool {
+        let since = self
+            .taken_us
+            .map_or(since, |taken_us| t_us.saturating_sub(taken_us) as f32 * 1e-6);
+        let velocity = VELOCITY_OFF + GROWTH * since;
+        if fix.is_near(reckoned, PLACE_OFF + velocity * since, velocity) {
+            // A velocity without a place says nothing of the place that is in doubt.
+            if fix.place.is_some() || !self.is_in_doubt(t_us) {
+                self.held = None;
+            }
+        } else {
+            match self.held.filter(|(_, at_us)| t_us.saturating_sub(*at_us) <= DOUBT_US) {
+                // The other sentence of the same instant.
+                Some((_, at_us)) if t_us.saturating_sub(at_us) < INSTANT_US => return false,
+                Some((held, at_us)) => {
+                    let seconds = t_us.saturating_sub(at_us) as f32 * 1e-6;
+                    let [north, east] = held.north_east;
+                    let speed = math::sqrt(north * north + east * east) + VELOCITY_OFF;
+                    let agrees = fix.is_near(&held, PLACE_OFF + speed * seconds, VELOCITY_OFF);
+                    self.agreed = if agrees { self.agreed + 1 } else { 1 };
+                }
+                None => self.agreed = 1,
+            }
+            self.held = Some((*fix, t_us));
+            if self.agreed < AGREE {
+                return false;
+            }
+            self.held = None;
+        }
+        self.taken_us = Some(t_us);
+        true
+    }
+
+    /// Whether a fix has contradicted dead reckoning, and neither is proven.
+    fn is_in_doubt(&self, t_us: u64) -> bool {
+        self.held
+            .is_some_and(|(_, at_us)| t_us.saturating_sub(at_us) <= DOUBT_US)
+    }
+}
+
 /// What a receiver says is taken by the navigator; an alignment starts anew where the base is under way.
 fn heed(
     work: &mut Work,
     aligner: &mut dyn Align,
     tap: &mut Tap,
     ground: &mut Ground,
+    doubt: &mut Doubt,
     fix: &Fix,
     t_us: u64,
 ) -> Option<Input> {
@@ -320,8 +417,21 @@ fn heed(
         }
         Work::Navigate(navigator) => {
             let place = fix.place.map(|place| [place.latitude, place.longitude]);
-            // A place that cannot be navigated from, near a pole, is not taken; what is known goes on.
-            let _ = motion.north_east().map(|velocity| navigator.fix(velocity, place));
+            let track = navigator.track();
+            let own = [track.v_n.y(), track.v_n.x()];
+            let said = Where {
+                place,
+                // Nobody knows whither: the place alone is taken.
+                north_east: motion.north_east().unwrap_or(own),
+            };
+            let reckoned = Where {
+                place: Some([track.position.latitude, track.position.longitude]),
+                north_east: own,
+            };
+            if doubt.takes(&said, &reckoned, navigator.time(), t_us) {
+                // A place that cannot be navigated from, near a pole, is not taken; what is known goes on.
+                let _ = navigator.fix(said.north_east, place);
+            }
             None
         }
         _ => None,
@@ -411,7 +521,7 @@ fn work_on<M: RawMutex>(
 }
 
 #[inline(never)]
-fn navigation(t_us: u64, work: &Work, aligner: &dyn Align) -> Navigation {
+fn navigation(t_us: u64, work: &Work, aligner: &dyn Align, in_doubt: bool) -> Navigation {
     let Work::Navigate(navigator) = work else {
         return Navigation {
             t_us,
@@ -423,7 +533,8 @@ fn navigation(t_us: u64, work: &Work, aligner: &dyn Align) -> Navigation {
     };
     let estimate = navigator.estimate();
     let sd = estimate.sd.heading;
-    let good = sd <= aligner.ready_heading_sd();
+    // Attitude stands on place and velocity: what they are worth is not known while they are in doubt.
+    let good = sd <= aligner.ready_heading_sd() && !in_doubt;
     Navigation {
         t_us,
         mode: if good {
@@ -532,6 +643,38 @@ mod tests {
         let begins = said.map(|(t_us, speed)| ground.hear(speed, t_us));
         assert_eq!(begins, [false, false, false, false, false, false, true, false]);
         assert!(ground.moves(4_000_000 + SAID_US) && !ground.moves(4_000_001 + SAID_US));
+    }
+
+    #[test]
+    fn a_fix_that_contradicts_dead_reckoning_is_held_until_three_agree() {
+        let at = |latitude, longitude, north_east| Where {
+            place: Some([latitude, longitude]),
+            north_east,
+        };
+        let own = at(0.698, 0.0, [0.0; 2]);
+        let jumped = at(0.698, 1.0, [0.0; 2]);
+        for wrong in [at(0.0, 0.0, [0.0; 2]), at(0.698, 0.0, [404.0, 245.0])] {
+            let mut doubt = Doubt::default();
+            assert!(doubt.takes(&own, &own, 60.0, 1_000_000) && !doubt.is_in_doubt(1_000_000));
+            assert!(!doubt.takes(&wrong, &own, 60.0, 2_000_000) && doubt.is_in_doubt(2_000_000));
+            // A good one ends the doubt.
+            assert!(doubt.takes(&own, &own, 60.0, 3_000_000) && !doubt.is_in_doubt(3_000_000));
+            // So does time, where no other follows.
+            assert!(!doubt.takes(&wrong, &own, 60.0, 4_000_000));
+            assert!(doubt.is_in_doubt(4_000_000 + DOUBT_US) && !doubt.is_in_doubt(4_000_001 + DOUBT_US));
+            // Two wrong ones that do not agree are no two.
+            assert!(!doubt.takes(&jumped, &own, 60.0, 5_000_000));
+            assert!(!doubt.takes(&jumped, &own, 60.0, 6_000_000));
+            // The other sentence of the same instant is no third.
+            assert!(!doubt.takes(&jumped, &own, 60.0, 6_010_000));
+            assert!(doubt.takes(&jumped, &own, 60.0, 7_000_000) && !doubt.is_in_doubt(7_000_000));
+        }
+        // Ten minutes without a fix are worth kilometres.
+        let drifted = at(0.698 + 4_000.0 / EARTH, 0.0, [0.0; 2]);
+        assert!(Doubt::default().takes(&drifted, &own, 600.0, 1_000_000));
+        assert!(!Doubt::default().takes(&drifted, &own, 10.0, 1_000_000));
+        // Over the date line it is near.
+        assert!(at(0.0, 3.1415, [0.0; 2]).is_near(&at(0.0, -3.1415, [0.0; 2]), 1_300.0, 1.0));
     }
 
     /// A calibration without biases leaves those of the thermal table what they are.

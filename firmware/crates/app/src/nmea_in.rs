@@ -35,6 +35,8 @@ use frames::units::DEG;
 pub const LONGEST: usize = 120;
 /// Knots in a m/s.
 const KNOT: f32 = 1852.0 / 3600.0;
+/// Slower than this a receiver cannot tell its course and says none, m/s: the base stands, within that.
+const SLOWEST: f32 = 0.5;
 /// Faster than this it is no vehicle of ours, m/s.
 const FASTEST: f32 = 515.0;
 
@@ -85,9 +87,11 @@ pub enum Refused {
 }
 
 impl Motion {
-    /// m/s north and east; `None` where it moves and nobody knows whither.
+    /// m/s north and east; zero where it is slow without a course, `None` where it moves and nobody knows whither.
     pub fn north_east(&self) -> Option<[f32; 2]> {
-        let course = self.course.or((self.speed == 0.0).then_some(0.0))?;
+        let Some(course) = self.course else {
+            return (self.speed <= SLOWEST).then_some([0.0; 2]);
+        };
         let (sin, cos) = math::sin_cos(course);
         Some([self.speed * cos, self.speed * sin])
     }
@@ -315,6 +319,15 @@ mod tests {
         ] {
             assert_eq!(parse(line), Err(refused), "{}", line.escape_ascii());
         }
+    }
+
+    #[test]
+    fn without_a_course_it_stands_or_nobody_knows_whither() {
+        let velocity = |speed, course| Motion { speed, course }.north_east();
+        assert_eq!(velocity(0.027 * KNOT, None), Some([0.0; 2]));
+        assert_eq!(velocity(SLOWEST, None), Some([0.0; 2]));
+        assert_eq!(velocity(1.001 * SLOWEST, None), None);
+        assert_eq!(velocity(0.1, Some(0.0)), Some([0.1, 0.0]));
     }
 
     /// What the unit says of itself is by dead reckoning, also where the line echoes.

@@ -451,9 +451,9 @@ pub fn parse(line: &[u8]) -> Result<Option<Request>, LineError> {
     }
 }
 
-/// Not from a hand.
+/// Not from a hand: a sentence, one of AIS, or a TAG block with nothing behind it.
 fn is_sentence(line: &[u8]) -> bool {
-    line.first() == Some(&b'$')
+    matches!(line.first(), Some(b'$' | b'!' | b'\\'))
 }
 
 fn is(name: &str, typed: &[u8]) -> bool {
@@ -496,7 +496,14 @@ pub struct LineBuffer {
     bytes: Vec<u8, { nmea_in::LONGEST }>,
     /// What is wrong with the line so far.
     refused: Option<LineError>,
+    /// The byte before: two make the head of a u-blox frame.
+    last: u8,
+    /// Binary frames of a receiver are under way, whose line ends are none: no error is answered before the next sentence.
+    binary: bool,
 }
+
+/// First bytes of a frame in UBX, which receivers mix with sentences.
+const UBX: [u8; 2] = [0xB5, 0x62];
 
 impl LineBuffer {
     /// Nothing yet.
@@ -504,12 +511,21 @@ impl LineBuffer {
         Self {
             bytes: Vec::new(),
             refused: None,
+            last: 0,
+            binary: false,
         }
     }
 
     /// Takes a byte; at the end of a line what it asks for. The end of an empty line is nothing, so that CR LF
     /// is one end.
+    ///
+    /// `$` and `!` begin anew wherever they stand, as IEC 61162-1 reserves them for the start of a sentence: before it may be a TAG
+    /// block, a binary frame, or the rest of a sentence that was cut off.
     pub fn push(&mut self, byte: u8) -> Option<Result<Request, LineError>> {
+        if [self.last, byte] == UBX {
+            self.binary = true;
+        }
+        self.last = byte;
         match byte {
             b'\r' | b'\n' => {
                 let found = match self.refused.take() {
@@ -518,7 +534,18 @@ impl LineBuffer {
                     None => parse(&self.bytes),
                 };
                 self.bytes.clear();
+                if self.binary && found.is_err() {
+                    return None;
+                }
+                self.binary = false;
                 return found.transpose();
+            }
+            b'$' | b'!' => {
+                self.bytes.clear();
+                self.refused = None;
+                self.binary = false;
+                // The buffer is empty: it has room.
+                let _ = self.bytes.push(byte);
             }
             // Backspace and delete, of a terminal.
             0x08 | 0x7F => {
@@ -658,6 +685,18 @@ mod tests {
         let (align, stop) = (Ok(Request::Unit(Command::Align)), Ok(Request::Unit(Command::Stop)));
         let long = [&[b'x'; LONGEST + 1][..], b" stop\nalign\n"].concat();
         let full = [&[b' '; LONGEST - 4][..], b"stop\n"].concat();
+        let after_long = [
+            &[b'x'; nmea_in::LONGEST + 9][..],
+            b"$GPVTG,90.0,T,,M,10.0,N,18.5,K,A*39\n",
+        ]
+        .concat();
+        let east = Ok(Request::Fix(Fix {
+            place: None,
+            motion: Some(nmea_in::Motion {
+                speed: 10.0 * (1852.0 / 3600.0),
+                course: Some(90.0 * DEG as f32),
+            }),
+        }));
         for (bytes, expected) in [
             (&b"align\r\n"[..], &[align][..]),
             (b"\r\n\n  \t \n# stop\n#stop\n", &[]),
@@ -720,16 +759,28 @@ mod tests {
             ),
             // What the unit itself sends, on a line that echoes.
             (b"$HETHS,,V*14\r\n$PRNSA,ok\xFF,x\r\nstatus\n", &[Ok(Request::Status)]),
+            // A receiver's behind bytes of other protocols, and AIS, which is silent.
+            (
+                b"\xB5\x62\x01\x07\n\x00x\n$GPVTG,90.0,T,,M,10.0,N,18.5,K,A*39\r\nstop\n",
+                &[east, stop],
+            ),
+            (b"$$GPVTG,90.0,T,,M,10.0,N,18.5,K,A*39\r\n", &[east]),
+            (b"\0$GPVTG,90.0,T,,M,10.0,N,18.5,K,A*39\r\n", &[east]),
+            (b" $GPVTG,90.0,T,,M,10.0,N,18.5,K,A*39\r\n", &[east]),
+            (b"$GPRMC,,A,47$GPVTG,90.0,T,,M,10.0,N,18.5,K,A*39\r\n", &[east]),
+            (
+                b"\\s:GP01,c:1700000001*4F\\$GPVTG,90.0,T,,M,10.0,N,18.5,K,A*39\r\n",
+                &[east],
+            ),
+            (&after_long, &[east]),
+            (
+                b"!AIVDO,1,1,,,B000*00\r\n\\s:GP01*4F\\!AIVDM,1\r\n\\g:1-2-73*1F\\\r\n\xFF!AIVDM\n",
+                &[],
+            ),
             // A receiver's, and one that has no fix, is cut off, or too long for anybody.
             (
                 b"$GPVTG,90.0,T,,M,10.0,N,18.5,K,A*39\r\n$GPRMC,,V,,,,,,,,,,N*53\r\n$GPVTG,90.0,T,,M\r\n",
-                &[Ok(Request::Fix(Fix {
-                    place: None,
-                    motion: Some(nmea_in::Motion {
-                        speed: 10.0 * (1852.0 / 3600.0),
-                        course: Some(90.0 * DEG as f32),
-                    }),
-                }))],
+                &[east],
             ),
         ] {
             assert_eq!(feed(bytes), expected, "{}", bytes.escape_ascii());
