@@ -187,9 +187,9 @@ fn filter(counter: &mut impl Counter, tell: &mut impl FnMut(Line)) {
         ));
     }
     if let Some((strapdown, measured)) = fine::<ROBUST>(counter, &earth) {
-        tell(line("strapdown and model, 30 states: one increment", strapdown));
+        tell(line("strapdown and model, 45 states: one increment", strapdown));
         tell(line(
-            "fine filter, 30 states: prediction, measurement and feedback",
+            "fine filter, 45 states: prediction, measurement and feedback",
             measured,
         ));
     }
@@ -212,11 +212,11 @@ fn fine<const B: usize>(counter: &mut impl Counter, earth: &Earth) -> Option<(u3
     let (mut never, mut always) = (every(1e9_f32)?, every(0.0)?);
     let increment = black_box(increment());
     let strapdown = counter.mean(1000, &mut || {
-        black_box(never.step(&increment));
+        black_box(never.step(&increment, 0.0));
     });
     always.close_loop();
     let measured = counter.mean(1000, &mut || {
-        black_box(always.step(&increment));
+        black_box(always.step(&increment, 0.0));
     });
     Some((strapdown, measured - strapdown))
 }

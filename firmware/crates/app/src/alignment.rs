@@ -333,12 +333,16 @@ struct Where {
 impl Where {
     /// Whether another is within `metres` and `speed`, m/s, of it; an unknown place contradicts none.
     fn is_near(&self, other: &Self, metres: f32, speed: f32) -> bool {
-        let [north, east] = [0, 1].map(|k| self.north_east[k] - other.north_east[k]);
-        let apart = self.place.zip(other.place).map_or(0.0, |(a, b)| {
-            let north = a[0] - b[0];
-            let east = math::wrap_pi(a[1] - b[1]) * math::sin_cos(a[0]).1;
-            EARTH * math::sqrt(north * north + east * east)
-        });
+        let ([north, east], [other_north, other_east]) = (self.north_east, other.north_east);
+        let (north, east) = (north - other_north, east - other_east);
+        let apart =
+            self.place
+                .zip(other.place)
+                .map_or(0.0, |([latitude, longitude], [other_latitude, other_longitude])| {
+                    let north = latitude - other_latitude;
+                    let east = math::wrap_pi(longitude - other_longitude) * math::sin_cos(latitude).1;
+                    EARTH * math::sqrt(north * north + east * east)
+                });
         apart <= metres && math::sqrt(north * north + east * east) <= speed
     }
 }

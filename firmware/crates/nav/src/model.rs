@@ -122,6 +122,15 @@ pub(crate) const GYRO_TERMS: [(usize, GyroDrive); 8] = [
 /// The columns of A by block, and the component of the force that each acts by.
 pub(crate) const ACCEL_COLUMNS: [(usize, usize); 2] = [(AX, 0), (AY, 1)];
 
+/// Component 0, 1 or 2 of a vector.
+fn component<T: Real>(v: Vec3<Sensor, T>, axis: usize) -> T {
+    match axis {
+        0 => v.x(),
+        1 => v.y(),
+        _ => v.z(),
+    }
+}
+
 /// Most blocks of Φ − I that are not zero: nine gyro errors and three of the accelerometers on φ, δV and δp, and their
 /// own.
 const MOST_COUPLINGS: usize = 38;
@@ -218,8 +227,8 @@ impl<T: Real, const B: usize> Interval<T, B> {
                     let c_bs = Rot::<Body, Sensor, T>::about_z(alpha - half * increment.phi_s.z());
                     c_ns * c_bs.matrix().transpose() * dt
                 }
-                GyroDrive::Rate(axis) => c_ns * increment.phi_s.vector()[*axis],
-                GyroDrive::Force(axis) => c_ns * force_s.vector()[*axis],
+                GyroDrive::Rate(axis) => c_ns * component(increment.phi_s, *axis),
+                GyroDrive::Force(axis) => c_ns * component(force_s, *axis),
             };
             let second = response.second + lever(&(response.first + drive * half), dt);
             if B > DP {
@@ -237,7 +246,7 @@ impl<T: Real, const B: usize> Interval<T, B> {
         add(&mut self.accel, c_ns * dt);
         for ((block, axis), response) in ACCEL_COLUMNS.iter().zip(&mut self.accel_columns) {
             if B > *block {
-                add(response, c_ns * force_s.vector()[*axis]);
+                add(response, c_ns * component(force_s, *axis));
             }
         }
         self.dt += dt;

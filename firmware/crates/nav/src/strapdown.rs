@@ -82,9 +82,10 @@ impl<T: Real> Corrections<T> {
 }
 
 fn add_to_column<T: Real>(matrix: &mut Matrix3<T>, axis: usize, part: Option<&Vector3<T>>) {
-    if let Some(part) = part {
-        let mut column = matrix.column_mut(axis);
-        column += part;
+    for (row, part) in part.into_iter().flatten().enumerate() {
+        if let Some(element) = matrix.get_mut((row, axis)) {
+            *element += *part;
+        }
     }
 }
 

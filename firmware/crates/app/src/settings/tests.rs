@@ -122,6 +122,25 @@ fn all_fields_come_back() {
     assert_eq!(to, from);
 }
 
+/// Noise of version 1 ends with the misalignments of the gyros.
+#[test]
+fn noise_of_version_1_keeps_the_new_fields() {
+    let (from, mut bytes) = (unusual(), [0; FIELDS]);
+    let length = from.encode(Group::Noise, &mut bytes).unwrap();
+    let mut to = Settings::default();
+    to.decode(Group::Noise, 1, &mut bytes[..length - 24]).unwrap();
+    let noise = ImuNoise {
+        gyro_g_sensitivity_sd: 0.0,
+        gyro_housing_sd: 0.0,
+        accel_scale_factor_sd: 0.0,
+        accel_misalignment_sd: 0.0,
+        accel_instability_sd: 0.0,
+        accel_instability_tau: 100.0,
+        ..from.noise
+    };
+    assert_eq!(to.noise, noise);
+}
+
 #[test]
 fn keys_are_for_ever() {
     let keys = Group::ALL.map(|group| (group.as_str(), group.key()));
