@@ -146,7 +146,6 @@ fn data_sheet(noise: &ImuNoise) -> Unit {
             noise.accel_instability_tau,
             default.accel_instability_tau_s,
         ),
-        ..default
     }
 }
 

@@ -864,7 +864,7 @@ fn a_header_of_version_1_reads() {
     bytes.drain(record::LEAD + 94..record::LEAD + 118);
     bytes[record::LEAD + 1] = 1;
     bytes[1] = u8::try_from(bytes.len() - record::LEAD).unwrap();
-    let crc = drivers::crc::crc32(&bytes[1..]);
+    let crc = drivers::crc::crc32(bytes[1..].iter().copied());
     bytes.extend_from_slice(&crc.to_le_bytes());
     let reader = LogReader::new(&bytes[..], "u.bin").unwrap();
     let found = reader.header().unwrap();
