@@ -135,6 +135,15 @@ fn component<T: Real>(v: Vec3<Sensor, T>, axis: usize) -> T {
 /// own.
 const MOST_COUPLINGS: usize = 38;
 
+/// Appends to a list that has room for the full one.
+///
+/// Not inlined: 38 times in a row it keeps the compiler busy for minutes.
+#[inline(never)]
+fn add_coupling<T: Real>(all: &mut Vec<Coupling<T>, MOST_COUPLINGS>, row: usize, col: usize, block: Matrix3<T>) {
+    let pushed = all.push(Coupling { row, col, block });
+    debug_assert!(pushed.is_ok(), "MOST_COUPLINGS");
+}
+
 /// What a constant error does to the strapdown by the end of the interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Response<T: Real> {
@@ -255,11 +264,7 @@ impl<T: Real, const B: usize> Interval<T, B> {
     /// Φ − I.
     pub(crate) fn couplings(&self, noise: &ImuNoise<T>, earth: &Earth<T>) -> Vec<Coupling<T>, MOST_COUPLINGS> {
         let mut all = Vec::new();
-        let mut couple = |row: usize, col: usize, block: Matrix3<T>| {
-            // The capacity is that of the full list.
-            let pushed = all.push(Coupling { row, col, block });
-            debug_assert!(pushed.is_ok(), "MOST_COUPLINGS");
-        };
+        let mut couple = |row, col, block| add_coupling(&mut all, row, col, block);
         let t = self.dt;
         let half = T::lit(0.5) * t;
         let identity = Matrix3::identity();
