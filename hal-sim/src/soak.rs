@@ -1184,9 +1184,10 @@ impl Soak {
             self.send(b"$GPRMC,120000,A,4000.0,N,11618.0,E,0.0,,231126,,,A*53\r\n");
         } else if self.chance(0.2) {
             let length = self.rng.random_range(1..100);
-            // Neither the end of a line, nor what makes it a remark, nor a word that there is.
+            // Neither the end of a line, nor what begins another, nor what makes it a remark, nor a word that there is.
             let mut text: String = (0..length)
                 .map(|_| char::from(self.rng.random_range(b' '..=b'~')))
+                .filter(|c| !"$!".contains(*c))
                 .collect();
             text.insert_str(0, "zz");
             self.type_line(&text, Answer::Error);

@@ -396,15 +396,15 @@ fn edges_missed_by_the_part() {
             counter.set(counter.get() + 1);
         }
     });
-    // The part is alive after 250 ms and gives 4250 samples a second until it is told otherwise.
-    unit.run_until(Instant::from_millis(350)).unwrap();
+    // The part is alive after 350 ms and gives 4250 samples a second until it is told otherwise.
+    unit.run_until(Instant::from_millis(450)).unwrap();
     assert_eq!(edges.get(), 425);
     part.with(|imu| imu.faults().missed_edges = 25);
-    unit.run_until(Instant::from_millis(450)).unwrap();
+    unit.run_until(Instant::from_millis(550)).unwrap();
     assert_eq!(edges.get(), 825);
     line.lose_rising(5);
     line.lose_rising(5);
-    unit.run_until(Instant::from_millis(550)).unwrap();
+    unit.run_until(Instant::from_millis(650)).unwrap();
     assert_eq!((edges.get(), line.lost()), (1240, 10));
 }
 

@@ -531,11 +531,11 @@ mod tests {
         let mut part = Adis16495::new(0, 4_000_000);
         let mut reply = [0; 2];
         let (read, fetch) = ([register::PROD_ID.address, 0], [0, 0]);
-        part.transfer(300_000, &read, &mut reply);
-        part.transfer(300_005, &fetch, &mut reply);
+        part.transfer(400_000, &read, &mut reply);
+        part.transfer(400_005, &fetch, &mut reply);
         assert_eq!((reply, part.stall_violations()), ([0, 0], 1));
-        part.transfer(300_100, &read, &mut reply);
-        part.transfer(300_109, &fetch, &mut reply);
+        part.transfer(400_100, &read, &mut reply);
+        part.transfer(400_109, &fetch, &mut reply);
         assert_eq!((u16::from_be_bytes(reply), part.stall_violations()), (PRODUCT, 1));
     }
 

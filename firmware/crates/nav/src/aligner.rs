@@ -277,6 +277,8 @@ pub struct HandOver<T: Real = f32> {
     pub v_n: Vec3<Nav, T>,
     /// What the sensors are corrected by.
     pub corrections: Corrections<T>,
+    /// The rotation to s from the frame whose z is the rotor's axis.
+    pub rotor_in_s: Rot<Sensor, Sensor, T>,
     /// The rotor's angle at that instant, rad.
     pub alpha: T,
 }
@@ -897,7 +899,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             let turn = Rot::exp(pending.phi_s - gyro_error);
             c_ns = (Rot::exp(-(self.earth.w_ie_n() * pending.dt)) * c_ns * turn).normalized();
         }
-        let c_nb = c_ns * self.c_sb();
+        let c_nb = (c_ns * filter.rotor_in_s(&solution)).normalized() * self.c_sb();
         Some(Estimate {
             c_nb,
             attitude: Attitude::from_rot(&c_nb),
@@ -920,6 +922,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             estimate,
             v_n: solution.v_n,
             corrections: solution.corrections,
+            rotor_in_s: filter.rotor_in_s(&solution),
             alpha: self.alpha,
         })
     }

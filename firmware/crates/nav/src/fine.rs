@@ -279,6 +279,9 @@ pub struct FineFilter<T: Real = f32, const B: usize = ROBUST> {
     /// Variances beyond which fading makes no state less known: those at the start, and of the gyro biases
     /// [`FADED_BIAS_SD`] at the most.
     faded: [Vector3<T>; B],
+    /// Component x (y) of the rotor's axis in s for one of the accelerometer bias, rad per m/s²: what the misalignment of
+    /// the gyros has in the prior of that bias.
+    axis_by_bias: T,
     interval: Interval<T, B>,
     fading: Fading<T>,
     trust: Trust<T>,
@@ -330,14 +333,15 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         prior[BG] = Vector3::repeat(least(noise.gyro_bias_sd, little) + by_gravity);
         let little_accel = noise.velocity_random_walk.max(T::lit(1e-6)) * T::lit(1e-3);
         let accel_bias = least(noise.accel_bias_sd, little_accel) + square(noise.accel_instability_sd);
-        // Of a rotation common to gyros and accelerometers the rotor's turning shows nothing but its axis as the gyros
-        // sense it, and s is the frame whose z that is: M_xz = M_yz = 0, and the accelerometers are misaligned by as much.
+        // A rotation common to gyros and accelerometers is not observable. s is the frame of the gyros as they sense the
+        // rotor: M_xz = M_yz = 0, z of s is off the rotor's axis, and the accelerometers are misaligned by as much.
         let misaligned = if B > MZ {
             square(noise.gyro_misalignment_sd)
         } else {
             T::zero()
         };
         let level = accel_bias + (square(noise.accel_misalignment_sd) + misaligned) * square(g);
+        let axis_by_bias = -misaligned * g / level;
         prior[BA] = Vector3::new(level, level, accel_bias + square(noise.accel_scale_factor_sd * g));
         prior[DV] = Vector3::repeat(square(if B > DP {
             config.trust.prior_velocity_sd
@@ -396,6 +400,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             closing: false,
             north: North::ahead(),
             faded,
+            axis_by_bias,
             interval: Interval::new(),
             fading: Fading::new(),
             trust: trust.unwrap_or(Trust::new(config.trust)),
@@ -775,14 +780,39 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         &self.covariance
     }
 
-    /// Covariance of the attitude errors now, rad²: that of the last measurement, the random walk since, and how far the
-    /// rotor's axis may be from z of s, which nothing here measures (see [`FineFilter::new`]).
+    /// The rotation to s from the frame whose z is the rotor's axis.
+    ///
+    /// The gyros are misaligned by M_xz and M_yz against it, and the axis is z + m in s, m = (M_xz, M_yz, 0). Accelerometers
+    /// that are aligned with the rotor do not sense g m in s, and the filter finds it in their bias b. By the variances of
+    /// the priors, m = −g σ_m² / (σ_b² + g² σ_m²) b.
+    pub fn rotor_in_s(&self, solution: &Strapdown<T>) -> Rot<Sensor, Sensor, T> {
+        Rot::exp(Vec3::from_vector(
+            self.axis_turn() * solution.corrections.accel_bias_s.vector(),
+        ))
+    }
+
+    /// What the accelerometer bias turns the rotor's axis by in s: θ = z × m.
+    fn axis_turn(&self) -> Matrix3<T> {
+        let mut turn = Matrix3::zeros();
+        turn[(0, 1)] = -self.axis_by_bias;
+        turn[(1, 0)] = self.axis_by_bias;
+        turn
+    }
+
+    /// Covariance of the attitude errors of the frame whose z is the rotor's axis now, rad²: that of the last measurement,
+    /// the random walk since, and what is not known of the axis.
     pub fn phi_covariance(&self) -> Matrix3<T> {
         let mut p = self.phi_now() + self.interval.phi_noise(&self.config.noise);
         if B > MZ {
-            let misaligned = self.config.noise.gyro_misalignment_sd * self.config.noise.gyro_misalignment_sd;
-            p[(0, 0)] += misaligned;
-            p[(1, 1)] += misaligned;
+            let by_bias = self.strapdown.c_ns.get().matrix() * self.axis_turn();
+            let cross = self.covariance.block(PHI, BA) * by_bias.transpose();
+            p += cross + cross.transpose() + by_bias * self.covariance.block(BA, BA) * by_bias.transpose();
+            // σ_m² less what the bias tells of it.
+            let noise = &self.config.noise;
+            let misaligned = noise.gyro_misalignment_sd * noise.gyro_misalignment_sd;
+            let rest = misaligned * (T::one() + self.earth.gravity() * self.axis_by_bias);
+            p[(0, 0)] += rest;
+            p[(1, 1)] += rest;
         }
         p
     }

@@ -114,7 +114,7 @@ impl<T: Real> Navigator<T> {
             mechanization: Mechanization::new(
                 start,
                 from.v_n,
-                from.estimate.c_nb * Rot::about_z(from.alpha),
+                from.estimate.c_nb * Rot::about_z(from.alpha) * from.rotor_in_s.inverse(),
                 config.vertical,
             )?,
             from: *from,
@@ -189,7 +189,7 @@ impl<T: Real> Navigator<T> {
             // Earth turns by 4e-6 rad in a whole increment.
             c_ns = c_ns * Rot::exp(self.from.corrections.corrected(&pending, self.alpha).phi_s);
         }
-        let c_nb = (c_ns * Rot::about_z(self.alpha).inverse()).normalized();
+        let c_nb = (c_ns * self.from.rotor_in_s * Rot::about_z(self.alpha).inverse()).normalized();
         Estimate {
             c_nb,
             attitude: Attitude::from_rot(&c_nb),
@@ -277,6 +277,7 @@ mod tests {
                 accel_bias_s: accel,
                 ..Corrections::none()
             },
+            rotor_in_s: Rot::identity(),
             alpha: 0.0,
         }
     }
