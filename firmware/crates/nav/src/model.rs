@@ -137,8 +137,9 @@ const MOST_COUPLINGS: usize = 38;
 
 /// Appends to a list that has room for the full one.
 ///
-/// Not inlined: 38 times in a row it keeps the compiler busy for minutes.
-#[inline(never)]
+/// 38 times in a row it keeps the compiler for the host busy for minutes; on the target it saves a quarter of the small
+/// filter's step.
+#[cfg_attr(not(target_arch = "arm"), inline(never))]
 fn add_coupling<T: Real>(all: &mut Vec<Coupling<T>, MOST_COUPLINGS>, row: usize, col: usize, block: Matrix3<T>) {
     let pushed = all.push(Coupling { row, col, block });
     debug_assert!(pushed.is_ok(), "MOST_COUPLINGS");
