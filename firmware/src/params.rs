@@ -3,16 +3,14 @@
 //! What stands here is what the unit is built from, and what holds until the settings say otherwise: see
 //! [`app::settings`].
 
+use app::parts::{self, Part};
 use app::rotor::{self, CalibrationConfig, ControlConfig, HomeSwitch, Homing, Limits, MotorConfig, PhaseOrder};
 use app::sampling::SamplingConfig;
 use app::settings::Settings;
 use app::supervisor::SupervisorConfig;
 use drivers::mt6835;
-#[cfg(not(feature = "icm42688"))]
-use frames::units::DEG_PER_HOUR;
-use frames::units::{DEG, DEG_PER_SQRT_HOUR};
+use frames::units::DEG;
 use nav::fine::{FilterConfig, Method};
-use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 
 /// The reciprocation: \[Xing18\] §3.2.
@@ -37,35 +35,18 @@ const MOTOR: MotorConfig = MotorConfig {
     electrical_offset: None,
 };
 
-/// The gyros of an ADIS16495-1 by its data sheet, rev. C: 0.09 °/√h, and 0.8 °/h at the best of the Allan deviation. As
-/// bought it has a bias of some 0.07 °/s.
+/// The IMU that is fitted.
 #[cfg(not(feature = "icm42688"))]
-fn gyros() -> ImuNoise {
-    ImuNoise {
-        angle_random_walk: (0.09 * DEG_PER_SQRT_HOUR) as f32,
-        gyro_bias_sd: (250.0 * DEG_PER_HOUR) as f32,
-        gyro_instability_sd: (1.6 * 0.8 * DEG_PER_HOUR) as f32,
-        ..ImuNoise::default()
-    }
-}
-
-/// The gyros of an ICM-42688-P by its data sheet: 2.8 m°/s/√Hz, and a bias of 0.5 °/s, which is to be taken off before it
-/// finds north.
+const PART: Part = parts::ADIS16495_1;
 #[cfg(feature = "icm42688")]
-fn gyros() -> ImuNoise {
-    ImuNoise {
-        gyro_bias_sd: (0.5 * DEG) as f32,
-        angle_random_walk: (0.168 * DEG_PER_SQRT_HOUR) as f32,
-        ..ImuNoise::default()
-    }
-}
+const PART: Part = parts::ICM42688;
 
-/// The settings of a unit that nobody has set. The place is only a beginning, `set latitude`, and so are the gyros'
+/// The settings of a unit that nobody has set. The place is only a beginning, `set latitude`, and so are the IMU's
 /// figures: an Allan plot of the part fitted is better, `set gyro-arw`.
 pub fn factory() -> Settings {
     Settings {
         motion: SCHEDULE,
-        noise: gyros(),
+        noise: PART.noise,
         ..Settings::default()
     }
 }

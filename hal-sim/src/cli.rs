@@ -116,6 +116,10 @@ fn run(args: &RunArgs, quiet: bool) -> Done {
     if let (Some(path), Some(log)) = (&args.log, observer.log) {
         let finished = observer.log_error.map_or_else(|| log.finish().map(drop), Err);
         finished.map_err(|e| cannot_write(path, &e))?;
+        // Later logs of the same name are not replayed with the figures of this one: they write their own.
+        let (beside, told) = (Unit::beside(path), scenario.told.as_ref().unwrap_or(&scenario.imu));
+        let figures = told.to_toml().map_err(words)?;
+        std::fs::write(&beside, figures).map_err(|e| cannot_write(&beside, &e))?;
     }
     let command = command_line();
     let origin = Origin {
@@ -236,7 +240,11 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
     if log.header().is_none() && args.latitude_deg.is_none() {
         return Err("a CSV log does not say where it was recorded: add --latitude-deg L".to_owned());
     }
-    let unit = args.unit.as_deref().map(Unit::load).transpose().map_err(words)?;
+    let unit = match &args.unit {
+        Some(name) => Some(Unit::find(name).map_err(words)?),
+        None if log.header().is_some() => None,
+        None => Some(unit_of_log(&args.log, quiet)?),
+    };
     // What is said here goes before what a recording says, all along.
     let told = |header: Option<&Header>| {
         let recorded = match header {
@@ -290,6 +298,31 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
         print(&table::replay(&result))?;
     }
     Ok(exit(result.state))
+}
+
+/// The figures of the IMU of a CSV log: those beside it, or those that it shows and says on the way.
+fn unit_of_log(log: &Path, quiet: bool) -> Result<Unit, String> {
+    let beside = Unit::beside(log);
+    if beside.exists() {
+        if !quiet {
+            eprintln!("IMU: the figures in {}", beside.display());
+        }
+        return Unit::load(&beside).map_err(words);
+    }
+    let (reader, _) = open_log(log, true)?;
+    let unit = replay::measured(reader);
+    if !quiet {
+        eprintln!(
+            "IMU: no --unit. White noise as in the log: gyros {} degrees/√h, accelerometers {} µg/√Hz; the rest of an unknown \
+             tactical MEMS: bias {} degrees/h, scale factors {} ppm, g-sensitivity {} degrees/h/g",
+            unit.angle_random_walk_deg_sqrt_h,
+            unit.velocity_random_walk_ug_sqrt_hz,
+            unit.gyro_bias_sd_deg_h,
+            unit.gyro_scale_factor_sd_ppm,
+            unit.gyro_g_sensitivity_sd_deg_h_g
+        );
+    }
+    Ok(unit)
 }
 
 /// Prints what happens in a replay.
@@ -607,7 +640,7 @@ fn calibrate(args: &CalibrateArgs, quiet: bool) -> Done {
         has_folder(path)?;
         not_itself(&args.log, path).map_err(words)?;
     }
-    let unit = args.unit.as_deref().map(Unit::load).transpose().map_err(words)?;
+    let unit = args.unit.as_deref().map(Unit::find).transpose().map_err(words)?;
     let setup = calibrate::Setup {
         unit: unit.unwrap_or_default(),
         stand: args
@@ -748,6 +781,10 @@ fn scenario(simulated: &Simulated) -> Result<Scenario, String> {
     } else {
         Scenario::builtin(name).map_err(words)
     }?;
+    if let Some(unit) = &simulated.unit {
+        scenario.imu = Unit::find(unit).map_err(words)?;
+        scenario.told = None;
+    }
     if let Some(seconds) = simulated.seconds {
         scenario.run.duration_s = seconds;
         scenario.validate().map_err(|e| format!("--seconds: {e}"))?;

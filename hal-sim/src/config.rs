@@ -24,6 +24,13 @@ pub enum ConfigProblem {
     Value(String),
     /// No built-in scenario has this name; the names there are.
     UnknownScenario(String),
+    /// Neither the name of a part nor a file that can be read.
+    UnknownPart {
+        /// Why it cannot be read; the system's words.
+        why: String,
+        /// The names there are.
+        names: String,
+    },
 }
 
 impl core::fmt::Display for ConfigProblem {
@@ -33,6 +40,7 @@ impl core::fmt::Display for ConfigProblem {
             Self::Syntax(what) => write!(f, "not valid TOML: {what}"),
             Self::UnknownKey(known) => write!(f, "unknown key; known here: {known}"),
             Self::WrongType(what) | Self::Value(what) => f.write_str(what),
+            Self::UnknownPart { why, names } => write!(f, "neither a part ({names}) nor a file: {why}"),
             Self::UnknownScenario(names) => write!(
                 f,
                 "no built-in scenario of this name; there are {names}, or a TOML file of your own"

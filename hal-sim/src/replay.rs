@@ -3,13 +3,11 @@
 use std::io::BufRead;
 use std::path::Path;
 
+use app::parts;
 use app::record::Taken;
-use frames::units::{
-    ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM, STANDARD_GRAVITY,
-};
+use frames::units::{DEG, DEG_PER_SQRT_HOUR, MICRO_G_PER_SQRT_HZ};
 use nav::aligner::{Aligner, AlignerError, Event};
 use nav::model::{PAPER, ROBUST};
-use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 use serde::Serialize;
 
@@ -112,40 +110,58 @@ pub fn recorded(header: &Header, method: Method) -> Setup {
             travel: schedule.travel.into(),
             acceleration: schedule.acceleration.into(),
         },
-        unit: data_sheet(noise),
+        unit: Unit::of_noise(noise),
         method,
         encoder_constraint_arcsec: None,
     }
 }
 
-/// The inverse of [`align::noise`].
-fn data_sheet(noise: &ImuNoise) -> Unit {
-    let in_units = |figure: f32, unit: f64| f64::from(figure) / unit;
-    let tau = |sd: f32, tau: f32, default: f64| if sd > 0.0 { tau.into() } else { default };
-    let default = Unit::default();
+/// Rows from which white noise is measured.
+const MEASURED_ROWS: usize = 60_000;
+
+/// The figures for a log of an IMU of which nothing is told: those of an unknown tactical MEMS IMU, with the white noise that
+/// its first rows have.
+///
+/// The third difference of white noise has 20 times its variance, and a swing is not in it. Of the gyros the level ones
+/// count: about z the motor turns. A median does not see the rotor's reversals.
+/// A log that is broken is measured as far as it can be read: the replay says what is wrong with it.
+pub fn measured<R: BufRead>(mut log: LogReader<R>) -> Unit {
+    const CHANNELS: usize = 5;
+    let mut squares: [Vec<f64>; CHANNELS] = Default::default();
+    let mut before: Vec<[f64; CHANNELS]> = Vec::new();
+    while let Some(Ok(row)) = log.next() {
+        if row.gap.is_some() {
+            before.clear();
+        }
+        // Of a rate that is white noise, its variance times the interval is the density, whatever the interval.
+        let root = row.dt_s.max(0.0).sqrt();
+        let (w, f) = (row.w_is_s, row.f_is_s);
+        before.push([w.x(), w.y(), f.x(), f.y(), f.z()].map(|x| x * root));
+        if let [a, b, c, d] = before[..] {
+            for (k, squares) in squares.iter_mut().enumerate() {
+                squares.push((d[k] - 3.0 * c[k] + 3.0 * b[k] - a[k]).powi(2) / 20.0);
+            }
+            before.remove(0);
+        }
+        if squares[0].len() >= MEASURED_ROWS {
+            break;
+        }
+    }
+    let density = |squares: &mut Vec<f64>| {
+        squares.sort_by(f64::total_cmp);
+        // Half the squares of a normal variable are below 0.455 of its variance. Coarse digits may make the median zero.
+        match squares.get(squares.len() / 2) {
+            Some(median) if *median > 0.0 => median / 0.455,
+            Some(_) => squares.iter().sum::<f64>() / squares.len() as f64,
+            None => 0.0,
+        }
+    };
+    let [wx, wy, fx, fy, fz] = squares.each_mut().map(density);
+    let white = |figure: f64, least: f64, digits: f64| ((figure / least * digits).round() / digits).max(1.0 / digits);
     Unit {
-        gyro_bias_sd_deg_h: in_units(noise.gyro_bias_sd, DEG_PER_HOUR),
-        accel_bias_sd_ug: in_units(noise.accel_bias_sd, MICRO_G),
-        angle_random_walk_deg_sqrt_h: in_units(noise.angle_random_walk, DEG_PER_SQRT_HOUR),
-        velocity_random_walk_ug_sqrt_hz: in_units(noise.velocity_random_walk, MICRO_G_PER_SQRT_HZ),
-        gyro_instability_deg_h: in_units(noise.gyro_instability_sd, DEG_PER_HOUR),
-        gyro_instability_tau_s: tau(
-            noise.gyro_instability_sd,
-            noise.gyro_instability_tau,
-            default.gyro_instability_tau_s,
-        ),
-        gyro_scale_factor_sd_ppm: in_units(noise.gyro_scale_factor_sd, PPM),
-        gyro_misalignment_sd_arcmin: in_units(noise.gyro_misalignment_sd, ARC_MIN),
-        gyro_g_sensitivity_sd_deg_h_g: in_units(noise.gyro_g_sensitivity_sd, DEG_PER_HOUR / STANDARD_GRAVITY),
-        gyro_housing_sd_deg_h: in_units(noise.gyro_housing_sd, DEG_PER_HOUR),
-        accel_scale_factor_sd_ppm: in_units(noise.accel_scale_factor_sd, PPM),
-        accel_misalignment_sd_arcmin: in_units(noise.accel_misalignment_sd, ARC_MIN),
-        accel_instability_ug: in_units(noise.accel_instability_sd, MICRO_G),
-        accel_instability_tau_s: tau(
-            noise.accel_instability_sd,
-            noise.accel_instability_tau,
-            default.accel_instability_tau_s,
-        ),
+        angle_random_walk_deg_sqrt_h: white((0.5 * (wx + wy)).sqrt(), DEG_PER_SQRT_HOUR, 1e4),
+        velocity_random_walk_ug_sqrt_hz: white(((fx + fy + fz) / 3.0).sqrt(), MICRO_G_PER_SQRT_HZ, 1e2),
+        ..Unit::of_part(&parts::UNKNOWN)
     }
 }
 

@@ -3,9 +3,13 @@
 //! They are 1σ figures of a kind of unit, not the errors of one: the simulator draws errors from them, the aligner
 //! weighs its measurements by them.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use crate::config::{self, ConfigError, Table, table};
+use app::parts::{self, Part};
+use frames::units::{ARC_MIN, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM, STANDARD_GRAVITY};
+use nav::noise::ImuNoise;
+
+use crate::config::{self, ConfigError, ConfigProblem, Table, table};
 
 table! {
     /// Noise and bias figures of an IMU, every axis alike.
@@ -63,6 +67,88 @@ impl Unit {
         config::parse(text, file_name, |unit: &Self| unit.check(""))
     }
 
+    /// The figures of a part by its name, see [`app::parts`], or those of a `UNIT.toml`.
+    ///
+    /// # Errors
+    /// [`ConfigError`]: one line, with the names there are where the file does not exist.
+    pub fn find(name_or_file: &str) -> Result<Self, ConfigError> {
+        if let Some(part) = parts::find(name_or_file) {
+            return Ok(Self::of_part(part));
+        }
+        Self::load(Path::new(name_or_file)).map_err(|error| match error.problem {
+            ConfigProblem::Read(why) => ConfigError {
+                problem: ConfigProblem::UnknownPart {
+                    why,
+                    names: parts::PARTS.map(|part| part.name).join(", "),
+                },
+                ..error
+            },
+            _ => error,
+        })
+    }
+
+    /// The figures of a part as its data sheet has them.
+    pub fn of_part(part: &Part) -> Self {
+        // An f32 has six digits, a data sheet two.
+        Self::from_noise(&part.noise, |value| {
+            let digits = if value > 0.0 {
+                6 - value.log10().ceil() as i32
+            } else {
+                0
+            };
+            let scale = 10_f64.powi(digits);
+            (value * scale).round() / scale
+        })
+    }
+
+    /// The figures in the units of a data sheet: the inverse of [`align::noise`](crate::align::noise), to the bit.
+    pub fn of_noise(noise: &ImuNoise) -> Self {
+        Self::from_noise(noise, |value| value)
+    }
+
+    fn from_noise(noise: &ImuNoise, value: impl Fn(f64) -> f64) -> Self {
+        let in_units = |figure: f32, unit: f64| value(f64::from(figure) / unit);
+        let default = Self::default();
+        let tau = |sd: f32, tau: f32, default: f64| if sd > 0.0 { tau.into() } else { default };
+        Self {
+            gyro_bias_sd_deg_h: in_units(noise.gyro_bias_sd, DEG_PER_HOUR),
+            accel_bias_sd_ug: in_units(noise.accel_bias_sd, MICRO_G),
+            angle_random_walk_deg_sqrt_h: in_units(noise.angle_random_walk, DEG_PER_SQRT_HOUR),
+            velocity_random_walk_ug_sqrt_hz: in_units(noise.velocity_random_walk, MICRO_G_PER_SQRT_HZ),
+            gyro_instability_deg_h: in_units(noise.gyro_instability_sd, DEG_PER_HOUR),
+            gyro_instability_tau_s: tau(
+                noise.gyro_instability_sd,
+                noise.gyro_instability_tau,
+                default.gyro_instability_tau_s,
+            ),
+            gyro_scale_factor_sd_ppm: in_units(noise.gyro_scale_factor_sd, PPM),
+            gyro_misalignment_sd_arcmin: in_units(noise.gyro_misalignment_sd, ARC_MIN),
+            gyro_g_sensitivity_sd_deg_h_g: in_units(noise.gyro_g_sensitivity_sd, DEG_PER_HOUR / STANDARD_GRAVITY),
+            gyro_housing_sd_deg_h: in_units(noise.gyro_housing_sd, DEG_PER_HOUR),
+            accel_scale_factor_sd_ppm: in_units(noise.accel_scale_factor_sd, PPM),
+            accel_misalignment_sd_arcmin: in_units(noise.accel_misalignment_sd, ARC_MIN),
+            accel_instability_ug: in_units(noise.accel_instability_sd, MICRO_G),
+            accel_instability_tau_s: tau(
+                noise.accel_instability_sd,
+                noise.accel_instability_tau,
+                default.accel_instability_tau_s,
+            ),
+        }
+    }
+
+    /// Where the figures of the IMU that wrote a log are: `LOG.unit.toml` beside `LOG.csv`.
+    pub fn beside(log: &Path) -> PathBuf {
+        log.with_extension("unit.toml")
+    }
+
+    /// As a `UNIT.toml`.
+    ///
+    /// # Errors
+    /// None that can be: every field is a number.
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        toml::to_string(self)
+    }
+
     /// A unit without any error.
     pub fn perfect() -> Self {
         Self {
@@ -85,6 +171,27 @@ mod tests {
         let unit = Unit::parse("gyro_bias_sd_deg_h = 3\n", "u.toml").unwrap();
         assert_eq!(unit.gyro_bias_sd_deg_h, 3.0);
         assert_eq!(unit.accel_bias_sd_ug, 100.0);
+    }
+
+    #[test]
+    fn parts_are_found_by_name_and_others_are_files() {
+        assert_eq!(Unit::find("paper").unwrap(), Unit::default());
+        let adis = Unit::find("adis16495-1").unwrap();
+        assert_eq!(
+            (adis.angle_random_walk_deg_sqrt_h, adis.gyro_bias_sd_deg_h),
+            (0.09, 250.0)
+        );
+        assert_eq!(
+            (adis.accel_misalignment_sd_arcmin, adis.gyro_g_sensitivity_sd_deg_h_g),
+            (3.0, 20.0)
+        );
+        assert_eq!(Unit::parse(&adis.to_toml().unwrap(), "u.toml").unwrap(), adis);
+        let unknown = Unit::find("adis16495").unwrap_err().to_string();
+        assert!(
+            unknown.starts_with("adis16495: neither a part (adis16495-1, adis16495-2, ")
+                && unknown.contains("nor a file"),
+            "{unknown}"
+        );
     }
 
     #[test]

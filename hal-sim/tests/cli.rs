@@ -188,13 +188,47 @@ fn a_gap_is_bridged_and_said() {
     let kept = whole.lines().enumerate().filter(|(k, _)| !(20_001..20_021).contains(k));
     let text: String = kept.map(|(_, line)| format!("{line}\n")).collect();
     fs::write(dir.path().join("gap.csv"), text).unwrap();
-    let output = hal_sim(dir.path(), &["replay", "gap.csv", "--latitude-deg", "40"]);
+    let output = hal_sim(
+        dir.path(),
+        &["replay", "gap.csv", "--latitude-deg", "40", "--unit", "paper"],
+    );
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(
         said.contains("20 rows missing") && said.contains("warning: bridged 1 gap of 0.200 s"),
         "{said}"
     );
+}
+
+/// A log of an IMU as sold by the shortest command: its own noise counts, and what nobody told is not taken for perfect.
+#[test]
+fn an_imu_that_nobody_described_is_not_the_papers() {
+    let dir = TempDir::new().unwrap();
+    let run = hal_sim(
+        dir.path(),
+        &["run", "--unit", "adis16495-3", "--log", "sold.csv", "--json", "--quiet"],
+    );
+    let truth = json(&run)["final"]["truth"]["heading_deg"].as_f64().unwrap();
+    let replay = || {
+        let output = hal_sim(dir.path(), &["replay", "sold.csv", "--latitude-deg", "40", "--json"]);
+        let said = String::from_utf8(output.stderr.clone()).unwrap();
+        (output.status.code(), json(&output), said)
+    };
+    let (_, told, said) = replay();
+    assert!(said.contains("IMU: the figures in sold.unit.toml"), "{said}");
+    fs::remove_file(dir.path().join("sold.unit.toml")).unwrap();
+    let (code, measured, said) = replay();
+    assert!(said.contains("gyros 0.17") || said.contains("gyros 0.18"), "{said}");
+    assert_eq!(
+        (code, measured["state"].as_str()),
+        (Some(1), Some("fine")),
+        "{measured}"
+    );
+    for result in [told, measured] {
+        let of = |key: &str| result[key].as_f64().unwrap();
+        let off = (of("heading_deg") - truth + 540.0).rem_euclid(360.0) - 180.0;
+        assert!(off.abs() < 4.0 * of("heading_sd_deg"), "{off} {result}");
+    }
 }
 
 #[test]

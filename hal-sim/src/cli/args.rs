@@ -93,6 +93,10 @@ pub(super) struct Simulated {
     /// Seed of every chance: the same one gives the same run, to the bit
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(super) seed: u64,
+    /// IMU in place of the scenario's: a part (adis16495-1, -2, -3, icm42688, paper, tactical) or a file with its figures.
+    /// Errors are drawn from them, and the filter is told them
+    #[arg(long, value_name = "PART|FILE")]
+    pub(super) unit: Option<String>,
     /// Length of a run, s (default: the scenario's); of `unit`, from the beginning of its alignment
     #[arg(long, visible_alias = "duration", value_name = "S", allow_negative_numbers = true)]
     pub(super) seconds: Option<f64>,
@@ -172,9 +176,10 @@ pub(super) struct ReplayArgs {
     /// Height above the ellipsoid, m (default: the recording's, or 0)
     #[arg(long, value_name = "H", allow_negative_numbers = true)]
     pub(super) height_m: Option<f64>,
-    /// Noise and bias figures of the IMU (default: the recording's, or those of the main paper, Table 2)
-    #[arg(long, value_name = "UNIT.toml")]
-    pub(super) unit: Option<PathBuf>,
+    /// The IMU: a part (adis16495-1, -2, -3, icm42688, paper, tactical) or a file with its figures (default: the
+    /// recording's, or LOG.unit.toml beside LOG.csv; else white noise as in the log, the rest of an unknown tactical MEMS)
+    #[arg(long, value_name = "PART|FILE")]
+    pub(super) unit: Option<String>,
     /// Fine filter
     #[arg(long, value_enum, default_value = "robust")]
     pub(super) method: Method,
@@ -303,9 +308,9 @@ pub(super) struct AllanArgs {
 pub(super) struct CalibrateArgs {
     /// CSV log of a minute at rest and a minute turning, as for `replay`
     pub(super) log: PathBuf,
-    /// Noise figures of the IMU (default: those of the main paper, Table 2)
-    #[arg(long, value_name = "UNIT.toml")]
-    pub(super) unit: Option<PathBuf>,
+    /// The IMU: a part or a file with its figures, as for `replay` (default: that of the main paper, Table 2)
+    #[arg(long, value_name = "PART|FILE")]
+    pub(super) unit: Option<String>,
     /// Latitude of the place, degrees: with the heading, takes Earth's rate out of the biases of a level unit
     #[arg(long, value_name = "L", allow_negative_numbers = true, requires = "heading_deg")]
     pub(super) latitude_deg: Option<f64>,

@@ -55,6 +55,7 @@ pub mod motor;
 pub mod nmea;
 pub mod nmea_in;
 pub mod output;
+pub mod parts;
 pub mod record;
 pub mod report;
 pub mod rotor;
