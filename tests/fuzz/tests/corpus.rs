@@ -142,24 +142,7 @@ fn seeds() -> Vec<Seed> {
     seed(
         "mt6835_bus",
         "identify",
-        vec![
-            2,
-            5,
-            4,
-            0,
-            0,
-            0,
-            0,
-            0,
-            mt6835::MARK,
-            0,
-            0,
-            a,
-            b,
-            c,
-            d,
-            0,
-        ],
+        vec![2, 5, 4, 0, 0, 0, 0, 0, mt6835::MARK, 0, 0, a, b, c, d, 0],
     );
 
     seed("log_csv", "turning", log(4));
