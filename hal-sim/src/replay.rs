@@ -119,11 +119,12 @@ pub fn recorded(header: &Header, method: Method) -> Setup {
 /// Rows from which white noise is measured.
 const MEASURED_ROWS: usize = 60_000;
 
-/// The figures for a log of an IMU of which nothing is told: those of an unknown tactical MEMS IMU, with the white noise that
-/// its first rows have.
+/// The figures for a log without a description of its IMU: those of an unknown tactical MEMS IMU, with the white noise of the
+/// log's first rows.
 ///
 /// The third difference of white noise has 20 times its variance, and a swing is not in it. Of the gyros the level ones
 /// count: about z the motor turns. A median does not see the rotor's reversals.
+///
 /// A log that is broken is measured as far as it can be read: the replay says what is wrong with it.
 pub fn measured<R: BufRead>(mut log: LogReader<R>) -> Unit {
     const CHANNELS: usize = 5;
@@ -157,7 +158,8 @@ pub fn measured<R: BufRead>(mut log: LogReader<R>) -> Unit {
         }
     };
     let [wx, wy, fx, fy, fz] = squares.each_mut().map(density);
-    let white = |figure: f64, least: f64, digits: f64| ((figure / least * digits).round() / digits).max(1.0 / digits);
+    // Rounded, and never zero: that would say that there is no noise.
+    let white = |figure: f64, unit: f64, steps: f64| ((figure / unit * steps).round() / steps).max(1.0 / steps);
     Unit {
         angle_random_walk_deg_sqrt_h: white((0.5 * (wx + wy)).sqrt(), DEG_PER_SQRT_HOUR, 1e4),
         velocity_random_walk_ug_sqrt_hz: white(((fx + fy + fz) / 3.0).sqrt(), MICRO_G_PER_SQRT_HZ, 1e2),

@@ -66,15 +66,16 @@ fn moored_is_found_where_the_papers_filter_is_lost() {
     assert_eq!(paper.aligned, 0, "{paper:?}");
 }
 
-/// An ADIS16495-1 as sold, 250 °/h of bias and every other term of its sheet, told the sheet: at rest, where the z bias
+/// An ADIS16495-1 as sold, 250 °/h of bias and every other term of the part, the filter configured with them: at rest, where the z bias
 /// turns the strapdown by 60° in 15 min, and at the berth. The ideal filter has 1.81° at rest.
 #[test]
 fn an_imu_as_sold_is_as_good_as_its_noise_and_knows_how_good() {
-    for (name, runs, most) in [("static", 40, 2.2), ("moored", 40, 2.7)] {
+    // A seed with runs that are lost where fading makes the biases as uncertain as at power-up.
+    for (name, runs, most) in [("static", 40, 2.5), ("moored", 40, 2.7)] {
         let mut scenario = Scenario::builtin(name).unwrap();
         scenario.imu = Unit::find("adis16495-1").unwrap();
         scenario.run.duration_s = 900.0;
-        let report = monte_carlo::run(&scenario, runs, 11, &[Method::Robust], || ()).unwrap();
+        let report = monte_carlo::run(&scenario, runs, 504, &[Method::Robust], || ()).unwrap();
         let [robust] = &report.by_method[..] else {
             panic!("one method")
         };

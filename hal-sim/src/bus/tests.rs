@@ -396,7 +396,7 @@ fn edges_missed_by_the_part() {
             counter.set(counter.get() + 1);
         }
     });
-    // The part is alive after 350 ms and gives 4250 samples a second until it is told otherwise.
+    // The part starts after 350 ms, with 4250 samples a second until it is configured.
     unit.run_until(Instant::from_millis(450)).unwrap();
     assert_eq!(edges.get(), 425);
     part.with(|imu| imu.faults().missed_edges = 25);

@@ -94,7 +94,7 @@ pub(super) struct Simulated {
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(super) seed: u64,
     /// IMU in place of the scenario's: a part (adis16495-1, -2, -3, icm42688, paper, tactical) or a file with its figures.
-    /// Errors are drawn from them, and the filter is told them
+    /// Errors are drawn from them, and the filter is configured with them
     #[arg(long, value_name = "PART|FILE")]
     pub(super) unit: Option<String>,
     /// Length of a run, s (default: the scenario's); of `unit`, from the beginning of its alignment

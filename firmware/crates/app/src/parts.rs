@@ -1,4 +1,4 @@
-//! The IMUs that the unit knows, each with the figures of its kind: what a unit that nobody has measured is told.
+//! The supported IMUs with their error figures: the configuration of a unit whose own figures have not been measured.
 //!
 //! The figures are 1σ. Where a data sheet gives a typical value it is taken as that; a term that no sheet gives is set to what
 //! parts of the kind have, never to zero, and [`Part::source`] says which those are. Only the paper's IMU has terms that are
@@ -62,7 +62,8 @@ impl Sheet {
     }
 }
 
-/// ADIS16495-1, ±125 °/s. Walk, instability, misalignment: data sheet rev. C, first page. Bias: repeatability of 0.07 °/s.
+/// ADIS16495-1, ±125 °/s. Walk, both instabilities, misalignment of the gyros: data sheet rev. C, first page. The rest is
+/// assumed.
 const ADIS16495_1_SHEET: Sheet = Sheet {
     gyro_bias_deg_h: 250.0,
     angle_random_walk_deg_sqrt_h: 0.09,
@@ -78,8 +79,7 @@ const ADIS16495_1_SHEET: Sheet = Sheet {
     accel_misalignment_arcmin: 3.0,
 };
 
-const ADIS_SOURCE: &str =
-    "data sheet rev. C: walk, instability, misalignment, gyro bias; the rest assumed, to be looked up";
+const ADIS_SOURCE: &str = "data sheet rev. C, first page: walk and instability of -1, gyro misalignment, accelerometer instability; the rest assumed";
 
 /// What can be bought as a tactical MEMS IMU, none of it known to be better.
 const TACTICAL: Sheet = Sheet {
@@ -97,7 +97,7 @@ const TACTICAL: Sheet = Sheet {
     accel_misalignment_arcmin: 6.0,
 };
 
-/// ICM-42688-P. Walks: data sheet rev. 1.7, first page (2.8 m°/s/√Hz, 70 µg/√Hz). Bias: ±0.5 °/s and ±20 mg at 25 °C.
+/// ICM-42688-P. Walks: data sheet rev. 1.7, first page (2.8 m°/s/√Hz, 70 µg/√Hz). The rest is assumed.
 const ICM42688_SHEET: Sheet = Sheet {
     gyro_bias_deg_h: 1800.0,
     angle_random_walk_deg_sqrt_h: 0.168,
@@ -141,7 +141,7 @@ pub const ADIS16495_1: Part = Part {
 pub const ICM42688: Part = Part {
     name: "icm42688",
     title: "ICM-42688-P",
-    source: "data sheet rev. 1.7: walks, biases; the rest assumed, to be looked up",
+    source: "data sheet rev. 1.7, first page: walks; the rest assumed",
     noise: ICM42688_SHEET.noise(),
 };
 

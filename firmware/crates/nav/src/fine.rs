@@ -807,7 +807,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             let by_bias = self.strapdown.c_ns.get().matrix() * self.axis_turn();
             let cross = self.covariance.block(PHI, BA) * by_bias.transpose();
             p += cross + cross.transpose() + by_bias * self.covariance.block(BA, BA) * by_bias.transpose();
-            // σ_m² less what the bias tells of it.
+            // The part of σ_m² that is independent of the bias.
             let noise = &self.config.noise;
             let misaligned = noise.gyro_misalignment_sd * noise.gyro_misalignment_sd;
             let rest = misaligned * (T::one() + self.earth.gravity() * self.axis_by_bias);
