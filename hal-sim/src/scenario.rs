@@ -383,7 +383,7 @@ impl Default for Scenario {
     }
 }
 
-const BUILTIN: [(&str, &str); 7] = [
+const BUILTIN: [(&str, &str); 9] = [
     ("static", include_str!("../scenarios/static.toml")),
     ("paper-sim", include_str!("../scenarios/paper-sim.toml")),
     ("paper-turntable", include_str!("../scenarios/paper-turntable.toml")),
@@ -394,6 +394,8 @@ const BUILTIN: [(&str, &str); 7] = [
     ),
     ("bias-step", include_str!("../scenarios/bias-step.toml")),
     ("lively-floor", include_str!("../scenarios/lively-floor.toml")),
+    ("tilted-5", include_str!("../scenarios/tilted-5.toml")),
+    ("tilted-15", include_str!("../scenarios/tilted-15.toml")),
 ];
 
 impl Scenario {
@@ -583,7 +585,7 @@ mod tests {
         assert_eq!(
             Scenario::builtin("paper-simm").unwrap_err().to_string(),
             "paper-simm: no built-in scenario of this name; there are static, paper-sim, paper-turntable, moored, \
-             gyrocompass-standard, bias-step, lively-floor, or a TOML file of your own"
+             gyrocompass-standard, bias-step, lively-floor, tilted-5, tilted-15, or a TOML file of your own"
         );
     }
 

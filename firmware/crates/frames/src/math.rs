@@ -13,6 +13,8 @@
 //! | [`sin_cos`] | beyond | half an ulp of the argument |
 //! | [`sqrt`] | x ≥ 0 | correctly rounded |
 //! | [`atan2`] | all | 3e-7 rad |
+//! | [`exp`] | −80 ≤ x ≤ 80 | 1e-7 of the result |
+//! | [`ln`] | 1e-30 ≤ x ≤ 1e30 | 6e-6 absolute, 1e-7 of the result |
 //!
 //! The approximate functions of `micromath` (sin 1.1e-3, atan2 2.8e-3 rad, sqrt 6 %) are fit for
 //! motor commutation and displays and have no place in attitude or filter maths.
@@ -33,6 +35,10 @@ pub trait Real: nalgebra::RealField + Copy + Sealed {
     fn door_sin_cos(self) -> (Self, Self);
     #[doc(hidden)]
     fn door_atan2(self, x: Self) -> Self;
+    #[doc(hidden)]
+    fn door_exp(self) -> Self;
+    #[doc(hidden)]
+    fn door_ln(self) -> Self;
     #[doc(hidden)]
     fn door_round(self) -> Self;
 }
@@ -67,6 +73,14 @@ impl Real for f32 {
         libm::atan2f(self, x)
     }
     #[inline]
+    fn door_exp(self) -> Self {
+        libm::expf(self)
+    }
+    #[inline]
+    fn door_ln(self) -> Self {
+        libm::logf(self)
+    }
+    #[inline]
     fn door_round(self) -> Self {
         libm::rintf(self)
     }
@@ -98,6 +112,14 @@ impl Real for f64 {
         libm::atan2(self, x)
     }
     #[inline]
+    fn door_exp(self) -> Self {
+        libm::exp(self)
+    }
+    #[inline]
+    fn door_ln(self) -> Self {
+        libm::log(self)
+    }
+    #[inline]
     fn door_round(self) -> Self {
         libm::rint(self)
     }
@@ -113,6 +135,18 @@ pub fn sqrt<T: Real>(x: T) -> T {
 #[inline]
 pub fn sin_cos<T: Real>(x: T) -> (T, T) {
     x.door_sin_cos()
+}
+
+/// e to the power of x.
+#[inline]
+pub fn exp<T: Real>(x: T) -> T {
+    x.door_exp()
+}
+
+/// Natural logarithm; NaN for a negative argument.
+#[inline]
+pub fn ln<T: Real>(x: T) -> T {
+    x.door_ln()
 }
 
 /// The angle of the point (x, y) in (−π, π], radians.
@@ -235,6 +269,28 @@ mod tests {
             })
             .fold(0.0, f64::max);
         assert!(worst < 3e-7, "{worst:e}");
+    }
+
+    #[test]
+    fn exp_and_ln_errors_are_as_documented() {
+        let worst = |relative: fn(f64) -> f64| {
+            (0..1_000_000)
+                .map(|k| relative(f64::from(k) / 500_000.0 - 1.0))
+                .fold(0.0, f64::max)
+        };
+        let exp_error = worst(|share| {
+            let x = f32::lit(80.0 * share);
+            (f64::from(exp(x)) / libm::exp(f64::from(x)) - 1.0).abs()
+        });
+        assert!(exp_error < 1e-7, "{exp_error:e}");
+        let ln_error = worst(|share| {
+            let x = f32::lit(libm::exp(69.0 * share));
+            let exact = libm::log(f64::from(x));
+            (f64::from(ln(x)) - exact).abs() / exact.abs().max(1.0)
+        });
+        assert!(ln_error < 1e-7, "{ln_error:e}");
+        assert_eq!((exp(-200.0_f32), exp(200.0_f32)), (0.0, f32::INFINITY));
+        assert!(ln(-1.0_f32).is_nan());
     }
 
     #[test]

@@ -18,6 +18,10 @@
 //! until the start moves no more. Then it works off what has come in meanwhile and is live; from there
 //! on replay and live run are the same code.
 //!
+//! The filter with δω needs no heading to begin with. Where gyro biases have moved gravity so far that coarse alignment
+//! finds none, it starts level, with any; and where two headings explain the same measurements there is a filter for each,
+//! until one of them is refuted. What is reported is the likelier, with the σ of both together.
+//!
 //! Purely a function of the samples: no clock, no logging, fixed memory. The capacity `N` must hold
 //! `t_k2` at [`AlignerConfig::decimate_to`]; [`Aligner::new`] checks it.
 
@@ -29,7 +33,7 @@ use heapless::Deque;
 use crate::{
     coarse::{Coarse, CoarseError, CoarsePoint, CoarseSolution},
     earth::{Earth, EarthError},
-    fine::{FilterConfig, FilterConfigError, FineFilter, Innovation},
+    fine::{CERTAIN, FilterConfig, FilterConfigError, FineFilter, Innovation},
     increment::{Compensator, Decimator, Increment, Sample},
     model::{ROBUST, WE},
     noise::ImuNoise,
@@ -56,6 +60,17 @@ const SETTLED: f64 = 1.0 * units::DEG;
 
 /// The same for tilt, where heading is linear: its error takes half the square of gravity, 6e-7 m/s² for 0.02°.
 const SETTLED_LEVEL: f64 = 0.02 * units::DEG;
+
+/// Turn by the 1σ of a gyro bias over the queue beyond which there is one pass, rad. What the model leaves out is more then
+/// than another pass would gain, and a second one begins with a trust in the base that has no room for it.
+const LARGEST_TURN: f64 = 10.0 * units::DEG;
+
+/// 1σ of a heading that may be any, rad: 2π/√12.
+const ANY_HEADING_SD: f64 = 1.8138;
+
+/// How much less likely a heading may become, as −2 ln of the ratio, before it is given up: with 15 to spare from where it is
+/// not told any more, for what the model leaves out.
+const REFUTED: f64 = CERTAIN + 15.0;
 
 /// Figures of the aligner.
 ///
@@ -192,8 +207,8 @@ pub enum NotReady<T: Real = f32> {
         /// Its 1σ now, rad.
         sd: T,
     },
-    /// The rotor's axis is tilted, and another heading with another z gyro bias would explain all
-    /// innovations as well: level the unit, or align where the axis points elsewhere.
+    /// The rotor's axis is tilted, and another heading with another z gyro bias explains all innovations as well, so far:
+    /// wait, level the unit, or align where the axis points elsewhere.
     Ambiguous {
         /// The other heading, as its difference to the one reported, clockwise, rad.
         heading_offset: T,
@@ -327,6 +342,8 @@ struct Pass<T: Real> {
     start: Rot<Nav, Sensor, T>,
     /// The z gyro bias that it is linear about at first, rad/s.
     gyro_bias_z: T,
+    /// 1σ of the tilt of that, rad.
+    tilt_sd: T,
     /// Variance of the base's displacement that it starts with, m².
     level_var: T,
     /// How many increments it takes.
@@ -365,10 +382,63 @@ enum Stage<T: Real, const B: usize> {
     },
     Fine {
         filter: FineFilter<T, B>,
+        rival: Option<Rival<T, B>>,
         consistency: Consistency<T>,
         replay: Replay<T>,
         aligned: bool,
     },
+}
+
+/// The filter about the other heading, where two explain the same measurements.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Rival<T: Real, const B: usize> {
+    filter: FineFilter<T, B>,
+    /// How much less likely it is, as −2 ln of the ratio.
+    behind: T,
+}
+
+impl<T: Real, const B: usize> Rival<T, B> {
+    /// Its probability.
+    fn share(&self) -> T {
+        let odds = math::exp(self.behind * T::lit(-0.5));
+        odds / (T::one() + odds)
+    }
+}
+
+/// Lets a filter have an increment, and its rival beside it.
+fn step_both<T: Real, const B: usize>(
+    filter: &mut FineFilter<T, B>,
+    rival: &mut Option<Rival<T, B>>,
+    (increment, alpha): &(Increment<T>, T),
+) -> Option<Innovation<T>> {
+    let innovation = filter.step(increment, *alpha);
+    if let Some(rival) = rival {
+        let refused = innovation.is_some_and(|innovation| innovation.refused);
+        let other = rival.filter.step_beside(increment, *alpha, filter, refused);
+        if let (Some(innovation), Some(other)) = (&innovation, &other) {
+            rival.behind += other.surprisal - innovation.surprisal;
+        }
+    }
+    innovation
+}
+
+/// After a measurement: a filter that does not know which of two headings is right is split; the likelier of two leads, and
+/// a rival that is refuted goes.
+fn compare<T: Real, const B: usize>(filter: &mut FineFilter<T, B>, rival: &mut Option<Rival<T, B>>) {
+    match rival {
+        None => *rival = filter.split().map(|(filter, behind)| Rival { filter, behind }),
+        Some(other) => {
+            if other.behind < T::zero() {
+                core::mem::swap(filter, &mut other.filter);
+                other.behind = -other.behind;
+            }
+            // Not a number where one of them has come to grief: what leads is looked after elsewhere.
+            let stays = other.behind < T::lit(REFUTED) && other.filter.is_sound();
+            if !stays {
+                *rival = None;
+            }
+        }
+    }
 }
 
 /// The z gyro's bias against the encoder while coarse alignment collects: the slope of the gyro's angle against the
@@ -583,6 +653,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             _ if length > self.config.longest_gap => return refused,
             Stage::Fine {
                 filter,
+                rival,
                 replay: Replay::Live,
                 ..
             } => {
@@ -595,7 +666,11 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                         length,
                     )
                 };
-                filter.doubt(missed(|s| s.dtheta_s / s.dt), missed(|s| s.dv_s / s.dt));
+                let (phi_sd, dv_sd) = (missed(|s| s.dtheta_s / s.dt), missed(|s| s.dv_s / s.dt));
+                filter.doubt(phi_sd, dv_sd);
+                if let Some(rival) = rival {
+                    rival.filter.doubt(phi_sd, dv_sd);
+                }
             }
             // A missing sample or two is smoothed over. More would bend the attitude that all rests on, and what is queued
             // for a replay carries no doubt.
@@ -646,19 +721,32 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         if coarse.t() + T::lit(0.5) * self.config.decimate_to < self.config.t_k2 {
             return None;
         }
-        let solution = match CoarseSolution::solve(*first, coarse.point(), &self.earth) {
-            Ok(solution) => solution,
+        let noise = &self.config.filter.noise;
+        let tilt_sd = first.level_sd(noise, &self.earth);
+        let (start, c_ns, sd) = match CoarseSolution::solve(*first, coarse.point(), &self.earth) {
+            Ok(solution) => {
+                let c_ns = coarse.c_ns(&solution, &self.earth);
+                let p_phi = coarse.phi_covariance(&solution, &self.earth, noise);
+                let sd = AttitudeSd::from_phi_covariance(&(c_ns * self.c_sb()), &p_phi);
+                (solution.c_ns_at_start(&self.earth), c_ns, sd)
+            }
+            Err(CoarseError::Degenerate { .. }) if B > WE => {
+                let start = first.level();
+                let sd = AttitudeSd {
+                    heading: T::lit(ANY_HEADING_SD),
+                    pitch: tilt_sd,
+                    roll: tilt_sd,
+                };
+                (start, start * coarse.c_ib0_s().relabel(), sd)
+            }
             Err(reason) => return Some(self.restart(Restart::Coarse(reason))),
         };
-        let c_nb = coarse.c_ns(&solution, &self.earth) * self.c_sb();
-        let attitude = Attitude::from_rot(&c_nb);
-        let p_phi = coarse.phi_covariance(&solution, &self.earth, &self.config.filter.noise);
-        let sd = AttitudeSd::from_phi_covariance(&c_nb, &p_phi);
-        let start = solution.c_ns_at_start(&self.earth);
+        let attitude = Attitude::from_rot(&(c_ns * self.c_sb()));
         let pass = Pass {
             number: 1,
             start,
-            gyro_bias_z: gyro_bias_z.start_from(&self.config.filter.noise, &self.earth),
+            gyro_bias_z: gyro_bias_z.start_from(noise, &self.earth),
+            tilt_sd: math::hypot(self.config.filter.tilt_sd, tilt_sd),
             level_var: T::zero(),
             length: self.queue.len(),
         };
@@ -669,14 +757,19 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
     /// Sets the fine filter to the start of the queue, for a pass over it.
     fn start_over(&mut self, mut pass: Pass<T>, trust: Option<Trust<T>>) -> Option<()> {
         let zero = T::zero();
+        let mut config = self.config.filter;
+        if B > WE {
+            config.tilt_sd = pass.tilt_sd;
+        }
         // The figures were checked when the aligner was made.
-        let filter = FineFilter::new(self.config.filter, self.earth, pass.start, trust)
+        let filter = FineFilter::new(config, self.earth, pass.start, trust)
             .ok()?
             .about_gyro_bias(Vec3::new(zero, zero, pass.gyro_bias_z));
         pass.level_var = filter.trust().level_var();
         let replay = Replay::Forward { pass, next: 0 };
         self.stage = Stage::Fine {
             filter,
+            rival: None,
             consistency: Consistency::new(),
             replay,
             aligned: false,
@@ -689,6 +782,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
     fn work_off(&mut self, dt: T, alpha: Option<T>) -> Option<Event<T>> {
         let Stage::Fine {
             filter,
+            rival,
             consistency,
             replay,
             ..
@@ -704,10 +798,16 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         // The encoder constraint is for what is live: what it says of the z gyro in its first seconds, the covariance
         // carries back to all that was filtered before.
         let is_next = self.queue.len() == 1 && matches!(replay, Replay::Live);
-        filter.rotor_at(alpha.filter(|_| is_next));
+        let alpha = alpha.filter(|_| is_next);
+        filter.rotor_at(alpha);
+        if let Some(rival) = rival {
+            rival.filter.rotor_at(alpha);
+        }
+        // Two filters take the time of two.
+        let forward = if rival.is_some() { 0.5 * FORWARD } else { FORWARD };
         let mut measured = false;
-        let mut filtered = |(increment, alpha): &(Increment<T>, T)| {
-            if let Some(innovation) = filter.step(increment, *alpha) {
+        let mut filtered = |queued: &(Increment<T>, T)| {
+            if let Some(innovation) = step_both(filter, rival, queued) {
                 consistency.push(innovation);
                 measured = true;
             }
@@ -759,8 +859,9 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                     moved <= T::lit(limit) && level_var <= pass.level_var * four && pass.level_var <= level_var * four;
                 // Another pass there and back lets these increments in, a fifth more for shares that were rounded off.
                 let taken = pass.length as f64 * (1.0 / FORWARD + 1.0 / BACK);
+                let linear = filter.config().noise.gyro_bias_sd * *t < T::lit(LARGEST_TURN);
                 let room = T::lit((N - self.queue.len()) as f64) * self.config.decimate_to > T::lit(1.2 * taken);
-                if !settled && pass.number < MOST_PASSES && room {
+                if !settled && linear && pass.number < MOST_PASSES && room {
                     let next = Pass {
                         number: pass.number + 1,
                         start: back.normalized(),
@@ -776,9 +877,12 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                 *replay = Replay::Drain;
             }
             Replay::Drain | Replay::Live => {
-                for _ in 0..share(FORWARD) {
+                for _ in 0..share(forward) {
                     let Some(increment) = self.queue.pop_front() else { break };
                     filtered(&increment);
+                }
+                if measured {
+                    compare(filter, rival);
                 }
             }
         }
@@ -859,7 +963,10 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
 
     fn not_ready_fine(&self) -> Option<NotReady<T>> {
         let Stage::Fine {
-            filter, consistency, ..
+            filter,
+            rival,
+            consistency,
+            ..
         } = &self.stage
         else {
             return None;
@@ -870,6 +977,12 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             });
         }
         let sd = self.estimate()?.sd.heading;
+        if let Some(rival) = rival.as_ref().filter(|rival| rival.behind < T::lit(CERTAIN)) {
+            return Some(NotReady::Ambiguous {
+                heading_offset: self.heading_offset(filter, &rival.filter),
+                gyro_bias_z: rival.filter.solution().corrections.gyro_bias_s.z(),
+            });
+        }
         if let Some(other) = filter.other_solution()
             && other.heading_offset.abs() > T::lit(5.0) * sd
         {
@@ -881,16 +994,8 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         (sd > self.config.ready_heading_sd).then_some(NotReady::HeadingSd { sd })
     }
 
-    /// What is known now; `None` before the fine filter is at the present.
-    pub fn estimate(&self) -> Option<Estimate<T>> {
-        let Stage::Fine {
-            filter,
-            replay: Replay::Live,
-            ..
-        } = &self.stage
-        else {
-            return None;
-        };
+    /// `C_b^n` by a filter at the last increment that it has had.
+    fn c_nb(&self, filter: &FineFilter<T, B>) -> Rot<Nav, Body, T> {
         let solution = filter.solution();
         let corrections = &solution.corrections;
         let mut c_ns = solution.c_ns.get();
@@ -899,11 +1004,38 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             let turn = Rot::exp(pending.phi_s - gyro_error);
             c_ns = (Rot::exp(-(self.earth.w_ie_n() * pending.dt)) * c_ns * turn).normalized();
         }
-        let c_nb = (c_ns * filter.rotor_in_s(&solution)).normalized() * self.c_sb();
+        (c_ns * filter.rotor_in_s(&solution)).normalized() * self.c_sb()
+    }
+
+    /// Heading by `other` less that by `filter`, clockwise, rad.
+    fn heading_offset(&self, filter: &FineFilter<T, B>, other: &FineFilter<T, B>) -> T {
+        let heading = |filter| Attitude::from_rot(&self.c_nb(filter)).heading;
+        math::wrap_pi(heading(other) - heading(filter))
+    }
+
+    /// What is known now; `None` before the fine filter is at the present.
+    pub fn estimate(&self) -> Option<Estimate<T>> {
+        let Stage::Fine {
+            filter,
+            rival,
+            replay: Replay::Live,
+            ..
+        } = &self.stage
+        else {
+            return None;
+        };
+        let corrections = filter.solution().corrections;
+        let c_nb = self.c_nb(filter);
+        let mut p = filter.phi_covariance();
+        if let Some(rival) = rival {
+            let (share, offset) = (rival.share(), self.heading_offset(filter, &rival.filter));
+            let there = rival.filter.phi_covariance()[(2, 2)] + offset * offset;
+            p[(2, 2)] = p[(2, 2)] * (T::one() - share) + there * share;
+        }
         Some(Estimate {
             c_nb,
             attitude: Attitude::from_rot(&c_nb),
-            sd: AttitudeSd::from_phi_covariance(&c_nb, &filter.phi_covariance()),
+            sd: AttitudeSd::from_phi_covariance(&c_nb, &p),
             gyro_bias_s: corrections.gyro_bias_s + corrections.gyro_instability_s,
             gyro_bias_sd: filter.gyro_bias_sd(),
             accel_bias_s: corrections.accel_bias_s,
@@ -1051,6 +1183,7 @@ mod tests {
             normalised_squared,
             fading: 1.0,
             refused,
+            surprisal: 0.0,
         };
         let mut consistency = Consistency::<f64>::new();
         consistency.push(innovation(30.0, false));

@@ -97,6 +97,29 @@ pub struct CoarseSolution<T: Real = f32> {
     second: CoarsePoint<T>,
 }
 
+impl<T: Real> CoarsePoint<T> {
+    /// `C_s^n` at the start of alignment, where s is ib0, from the mean specific force alone: level, with whatever heading.
+    pub fn level(&self) -> Rot<Nav, Sensor, T> {
+        let up = self.v_ib0 / self.v_ib0.norm();
+        let sin = math::hypot(up.x(), up.y());
+        let angle = math::atan2(sin, up.z());
+        // Upside down any level axis will do.
+        let axis = if sin > T::zero() {
+            Vec3::new(up.y() / sin, -up.x() / sin, T::zero())
+        } else {
+            Vec3::new(T::one(), T::zero(), T::zero())
+        };
+        Rot::<SensorStart, SensorStart, T>::exp(axis * angle).relabel()
+    }
+
+    /// Predicted 1σ of its tilt, rad: by the turn-on biases through the actual motion.
+    pub fn level_sd(&self, noise: &ImuNoise<T>, earth: &Earth<T>) -> T {
+        let by_gyro = noise.gyro_bias_sd * self.bias_twice.norm();
+        let by_accel = noise.accel_bias_sd * self.bias_once.norm() / earth.gravity();
+        math::hypot(by_gyro, by_accel) / self.t
+    }
+}
+
 impl<T: Real> Default for Coarse<T> {
     fn default() -> Self {
         Self::new()

@@ -20,13 +20,26 @@
 //! strapdown at once, the state returns to zero, and only P lives on. A filter with δω feeds back all but heading from
 //! the start: its model is linear in all that is large, and heading alone may stay open for minutes.
 //!
+//! Where the rotor's axis is tilted two headings may fit what has been measured, each with a z gyro bias of its own (see
+//! [`north`](crate::north)). What follows tells them apart: with the wrong bias the frame turns away from Earth. But each
+//! reads that the other way round, and a filter about the wrong one goes on from bad to worse with a small σ. So
+//! [`FineFilter::split`] makes one filter of each, and [`Innovation::surprisal`] says which of them the measurements bear
+//! out. The caller keeps both until it is known.
+//!
+//! A split filter knows heading to tens of degrees, and what its errors are correlated with (g-sensitivity under a constant
+//! tilt cannot be told from Earth's rate) is fixed to the housing. To turn the frame by each new estimate would turn that
+//! against what is already in P, and every turn would pass for information that nobody measured: σ of 3° where 6° is
+//! true. The first estimate is therefore kept to be linear about until heading has moved by its own σ (first-estimates
+//! Jacobians: G. Huang, A. Mourikis and S. Roumeliotis, *Analysis and Improvement of the Consistency of Extended Kalman
+//! Filter based SLAM*, ICRA 2008).
+//!
 //! The *measurement* is one per second and not one per sample by choice: a strong-tracking filter
 //! that measures at 20 Hz never sees a bias step in one innovation, and the cost falls by twenty.
 //!
 //! Not modelled here: Coriolis acceleration (2 ω_ie V, below 1e-7 m/s² while V is an error).
 
 use frames::{Nav, Real, Rot, Sensor, Vec3, VecSum, math, units};
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 use crate::{
     constraint::{self, ConstraintConfig, Excess, Row, Watch},
@@ -219,11 +232,15 @@ pub const CLOSING_SD: f64 = 1.0 * units::DEG;
 
 /// How much likelier the heading found must be than the other that fits, as the difference of their squared distances
 /// in σ, for the loop to close.
-const CERTAIN: f64 = 16.0;
+pub(crate) const CERTAIN: f64 = 16.0;
 
 /// 1σ up to which fading makes the gyro biases uncertain anew, rad/s. A bias may step while the unit runs, but not as far as
 /// from one start to the next: fading up to 250 °/h loses the z bias, and heading with it.
 const FADED_BIAS_SD: f64 = 10.0 * units::DEG_PER_HOUR;
+
+/// 1σ of each component of Earth's level rate before anything is measured, in units of its length: wide enough that the
+/// heading of the start is no likelier than any other (one would favour it over its opposite by 4 in cost, this by 0.4).
+const LEVEL_RATE_SD: f64 = 3.0;
 
 /// Change of the estimated direction of Earth's rate after which the frame is turned to it, rad.
 const TURNING: f64 = 0.5 * units::DEG;
@@ -245,6 +262,8 @@ pub struct Innovation<T: Real = f32> {
     pub fading: T,
     /// It was too far off to be one, and was not taken.
     pub refused: bool,
+    /// −2 ln of its probability density as it was expected, less a constant: what says which of two filters is right.
+    pub surprisal: T,
 }
 
 /// Φ x.
@@ -274,6 +293,8 @@ pub struct FineFilter<T: Real = f32, const B: usize = ROBUST> {
     closed: bool,
     /// The loop closes as soon as heading is known well enough.
     closing: bool,
+    /// One of two about different headings: see [`split`](Self::split).
+    is_split: bool,
     /// Where north is, while δω says it.
     north: North<T>,
     /// Variances beyond which fading makes no state less known: those at the start, and of the gyro biases
@@ -382,8 +403,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         let housing = least(noise.gyro_housing_sd, little);
         set(HB, Vector3::new(housing, housing, square(little)));
         if B > WE {
-            // Anywhere on the circle: the sine and cosine of a heading error have this spread each, about.
-            let level = square(earth.w_north() * (config.heading_sd).min(T::one()));
+            let level = square(earth.w_north() * T::lit(LEVEL_RATE_SD) * config.heading_sd.min(T::one()));
             prior[PHI].z = square(little);
             prior[WE] = Vector3::new(level, level, least(earth.w_north() * config.latitude_sd, little));
         }
@@ -398,6 +418,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             error: [Vector3::zeros(); B],
             closed: false,
             closing: false,
+            is_split: false,
             north: North::ahead(),
             faded,
             axis_by_bias,
@@ -423,13 +444,35 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
 
     /// Integrates one increment, at whose end the rotor is at the angle `alpha`, rad, and measures where it is time.
     pub fn step(&mut self, increment: &Increment<T>, alpha: T) -> Option<Innovation<T>> {
+        self.integrate(increment, alpha);
+        self.is_due(increment).then(|| self.measure(None))
+    }
+
+    /// The same beside `leader`, the other filter of a [split](Self::split), which has had the increment and, where it has
+    /// measured, `refused` the measurement or not: with its estimate of the base's displacement, for the two can only be
+    /// compared by one.
+    pub fn step_beside(
+        &mut self,
+        increment: &Increment<T>,
+        alpha: T,
+        leader: &Self,
+        refused: bool,
+    ) -> Option<Innovation<T>> {
+        self.integrate(increment, alpha);
+        let given = (&leader.trust, refused);
+        self.is_due(increment).then(|| self.measure(Some(given)))
+    }
+
+    fn integrate(&mut self, increment: &Increment<T>, alpha: T) {
         let c_ns = self.strapdown.advance(increment, alpha, &self.earth);
         self.interval.push(increment, alpha, &c_ns, &self.earth);
         self.axis_n.add(Vec3::from_vector(c_ns.column(2) * increment.dt));
         self.elapsed += increment.dt;
-        // Within half an increment of its time.
-        let due = self.interval.dt() + increment.dt * T::lit(0.5) >= self.config.measure_every;
-        due.then(|| self.measure())
+    }
+
+    /// Whether it is time to measure, to within half an increment.
+    fn is_due(&self, increment: &Increment<T>) -> bool {
+        self.interval.dt() + increment.dt * T::lit(0.5) >= self.config.measure_every
     }
 
     /// Says at which angle the rotor is at the end of the next increment, rad; `None` where that is not known. It holds
@@ -464,8 +507,9 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         }
     }
 
-    /// Predicts P over the interval, then measures ((21)–(25), (26)).
-    fn measure(&mut self) -> Innovation<T> {
+    /// Predicts P over the interval, then measures ((21)–(25), (26)), with the base's displacement, and whether to
+    /// refuse, as found or as `given`.
+    fn measure(&mut self, given: Option<(&Trust<T>, bool)>) -> Innovation<T> {
         let measured = Self::MEASURED;
         let noise = self.config.noise;
         let couplings = self.interval.couplings(&noise, &self.earth);
@@ -500,23 +544,32 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         }
 
         let predicted = self.covariance.variances(measured);
-        let normalised = |axis: usize| {
-            let s = predicted[axis] + self.measurement_var(axis);
-            excess[axis] * excess[axis] / s
+        let refused = match given {
+            Some((trust, refused)) => {
+                self.trust = *trust;
+                refused
+            }
+            None if B > DP => {
+                let normalised =
+                    |axis: usize| excess[axis] * excess[axis] / (predicted[axis] + self.measurement_var(axis));
+                let largest = (0..3).map(normalised).fold(T::zero(), |most, x| most.max(x));
+                !self.trust.accepts(largest)
+            }
+            None => false,
         };
-        let largest = (0..3).map(normalised).fold(T::zero(), |most, x| most.max(x));
-        let refused = B > DP && !self.trust.accepts(largest);
-        let mut normalised_squared = T::zero();
+        let (mut normalised_squared, mut surprisal) = (T::zero(), T::zero());
         if refused {
             self.refused += 1;
         } else {
-            if B > DP {
+            if B > DP && given.is_none() {
                 self.trust.learn(&excess, &predicted);
             }
             let r = core::array::from_fn(|axis| self.measurement_var(axis));
             for (axis, gain) in self.covariance.update_block(measured, r).iter().enumerate() {
                 let residual = observed[axis] - error[measured][axis];
-                normalised_squared += residual * residual / gain.innovation_var;
+                let normalised = residual * residual / gain.innovation_var;
+                normalised_squared += normalised;
+                surprisal += normalised + math::ln(gain.innovation_var);
                 for (part, column) in error.iter_mut().zip(&gain.column) {
                     *part += column * residual;
                 }
@@ -533,7 +586,36 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             normalised_squared,
             fading,
             refused,
+            surprisal,
         }
+    }
+
+    /// Where another heading fits as well, makes one filter about each of the two: this one about the likelier, the one
+    /// returned about the other. With it how much less likely it is, as −2 ln of the ratio.
+    ///
+    /// Both know the length of Earth's level rate from here on, and heading is one angle.
+    pub fn split(&mut self) -> Option<(Self, T)> {
+        if B <= WE || self.closed {
+            return None;
+        }
+        let other = self.north.other?;
+        let cost = other.cost - self.north.best.cost;
+        if cost > T::lit(CERTAIN) {
+            return None;
+        }
+        let mut rival = *self;
+        rival.north.best = other;
+        for filter in [&mut *self, &mut rival] {
+            filter.north.other = None;
+            filter.turn_to_north();
+            filter.know_length();
+            filter.closed = true;
+            filter.is_split = true;
+            filter.take_out();
+        }
+        // The density at its highest, times its width.
+        let width = math::ln(self.heading_var() / rival.heading_var());
+        Some((rival, cost + width))
     }
 
     /// Measures that the base has not turned about the vertical (see [`constraint`]), between what is
@@ -717,22 +799,32 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         turn * p * turn.transpose()
     }
 
-    /// Feedback: the estimated error leaves the strapdown, and is zero. δω stays where it is: it is constant.
+    /// Feedback: the estimated error leaves the strapdown, and is zero. δω stays where it is: it is constant. So does heading
+    /// of a filter that was split, while it is not known well and has moved by less than its σ.
     fn take_out(&mut self) {
+        let mut kept = T::zero();
+        if B > WE && self.is_split {
+            let (heading, var) = (self.error[PHI].z, self.heading_var());
+            if var > T::lit(CLOSING_SD * CLOSING_SD) && heading * heading < var {
+                kept = heading;
+            }
+        }
+        self.error[PHI].z -= kept;
         self.strapdown.correct(&self.error);
         for (_, part) in self.error.iter_mut().enumerate().filter(|(block, _)| *block != WE) {
             *part = Vector3::zeros();
         }
+        self.error[PHI].z = kept;
     }
 
     /// The strapdown without its estimated error, now.
     pub fn solution(&self) -> Strapdown<T> {
-        if self.closed {
+        if self.closed && self.error[PHI].z == T::zero() {
             return self.strapdown;
         }
         let couplings = self.interval.couplings(&self.config.noise, &self.earth);
         let mut solution = self.strapdown;
-        if B > WE {
+        if B > WE && !self.closed {
             let mut closed = *self;
             closed.error = propagated(&self.error, &couplings);
             closed.turn_to_north();
@@ -817,49 +909,17 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         p
     }
 
-    /// The other heading that explains the same measurements, if there is one: the rotor's mean axis is tilted then.
-    pub fn other_solution(&self) -> Option<OtherSolution<T>> {
-        if B > WE {
-            self.other_by_rate()
-        } else {
-            self.other_by_axis()
-        }
-    }
-
-    /// The other heading of a filter with δω: see [`north`](crate::north).
-    fn other_by_rate(&self) -> Option<OtherSolution<T>> {
-        let other = self
-            .north
-            .other
-            .filter(|other| !self.closed && other.cost < self.north.best.cost + T::lit(CERTAIN))?;
-        let (sin, cos) = math::sin_cos(other.angle);
-        let there = Vector3::new(sin, cos, T::zero()) * self.earth.w_north();
-        let away = there - (self.earth.w_ie_n().vector() + self.error[WE]);
-        let p = self.covariance.block(WE, WE);
-        let inverse = T::one() / (p[(0, 0)] * p[(1, 1)] - p[(0, 1)] * p[(1, 0)]);
-        let weighed = Vector2::new(
-            (p[(1, 1)] * away.x - p[(0, 1)] * away.y) * inverse,
-            (p[(0, 0)] * away.y - p[(1, 0)] * away.x) * inverse,
-        );
-        let with_rate = self.covariance.block(BG, WE);
-        let gyro_bias_z = self.strapdown.corrections.gyro_bias_s.z()
-            + self.error[BG].z
-            + with_rate[(2, 0)] * weighed.x
-            + with_rate[(2, 1)] * weighed.y;
-        Some(OtherSolution {
-            heading_offset: math::wrap_pi(self.north.best.angle - other.angle),
-            gyro_bias_z,
-        })
-    }
-
-    /// The other heading of a filter without δω, where the rotor's mean axis is tilted and the
-    /// z gyro bias that it takes is within four of its σ.
+    /// The other heading that explains the same measurements for a filter without δω, which cannot be split: the rotor's
+    /// mean axis is tilted, and the z gyro bias that it takes within four of its σ.
     ///
     /// What is measured of Earth's rate is its level part, of known size ω_ie cos L, plus the z bias along
     /// the level part `a` of the axis, which turning about z does not modulate. A line along `a` meets the
     /// circle of that size twice, at biases that differ by `δ = 2 ω_ie cos L a_N/|a|²`. Linear theory sees
     /// one of them, and gives it a small σ.
-    fn other_by_axis(&self) -> Option<OtherSolution<T>> {
+    pub fn other_solution(&self) -> Option<OtherSolution<T>> {
+        if B > WE {
+            return None;
+        }
         let axis = self.axis_n.get();
         let (a_e, a_n) = (axis.x() / self.elapsed, axis.y() / self.elapsed);
         let w = self.earth.w_north();
