@@ -175,7 +175,7 @@ fn the_image_homes_and_aligns() {
     assert_eq!(timeline.coarse.len(), 1);
     let last = outcome.last.unwrap();
     let told = timeline.estimates.last().unwrap();
-    assert!(timeline.estimates.len() > 5 && last.t_s - told.t_s < 1.2, "{told:?}");
+    assert!(timeline.estimates.len() > 3 && last.t_s - told.t_s < 1.2, "{told:?}");
     let sd = told.attitude.heading_sd_deg / last.sd.heading_deg;
     assert!((0.95..1.1).contains(&sd), "{told:?} {last:?}");
 
@@ -191,7 +191,7 @@ fn the_image_homes_and_aligns() {
     // Ten times a second.
     assert!((770..=810).contains(&answers("$HETHS,")), "{}", answers("$HETHS,"));
     assert!(
-        answers("$HEHDT,") > 50 && answers("$HEHDT,") < 150,
+        answers("$HEHDT,") > 40 && answers("$HEHDT,") < 150,
         "{}",
         answers("$HEHDT,")
     );
