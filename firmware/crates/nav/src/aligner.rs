@@ -48,8 +48,8 @@ pub const QUEUE: usize = 1200;
 
 /// Increments filtered from the queue, and carried back, for each second of samples. A pass over 50 s takes two seconds, and
 /// 5 % of a Cortex-M4F at 168 MHz; with the rest of the unit, less than a tenth of it.
-const FORWARD: f64 = 650.0;
-const BACK: f64 = 3000.0;
+const FORWARD: f64 = 700.0;
+const BACK: f64 = 1500.0;
 
 /// Most times that the fine filter goes over the queue.
 const MOST_PASSES: u8 = 6;
