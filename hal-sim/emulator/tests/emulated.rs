@@ -191,7 +191,7 @@ fn the_image_homes_and_aligns() {
     // Ten times a second.
     assert!((770..=810).contains(&answers("$HETHS,")), "{}", answers("$HETHS,"));
     assert!(
-        answers("$HEHDT,") > 40 && answers("$HEHDT,") < 150,
+        answers("$HEHDT,") > 25 && answers("$HEHDT,") < 150,
         "{}",
         answers("$HEHDT,")
     );
