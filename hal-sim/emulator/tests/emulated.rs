@@ -152,10 +152,10 @@ fn simulated(scenario: &Scenario, seconds: f64) -> Vec<String> {
     said.0
 }
 
-/// Until 80 s: aligned with a σ below a degree, in time for the gate. Its log is the simulated unit's, but for figures.
+/// Until 84 s: aligned with a σ below a degree, in time for the gate. Its log is the simulated unit's, but for figures.
 #[test]
 fn the_image_homes_and_aligns() {
-    let (outcome, kept) = run(&Setup::new(paper(), 1, 80.0));
+    let (outcome, kept) = run(&Setup::new(paper(), 1, 84.0));
     let modes: Vec<&str> = outcome.modes.iter().map(|at| at.mode).collect();
     assert_eq!(modes, ["self-test", "homing", "coarse", "fine", "aligned"]);
     assert!(
@@ -167,7 +167,7 @@ fn the_image_homes_and_aligns() {
     inspects_to(&outcome, &kept);
     let lines = kept.lines.iter().filter_map(|line| line.split_once("] INFO  "));
     let printed = texts(lines.map(|(_, text)| text));
-    let simulated = simulated(&paper(), 80.0);
+    let simulated = simulated(&paper(), 84.0);
     assert_eq!(printed, texts(simulated.iter().map(String::as_str)));
     assert!(printed.contains("mode fine -> aligned") && printed.contains("homed: rotor at # deg"));
 
@@ -175,11 +175,11 @@ fn the_image_homes_and_aligns() {
     assert_eq!(timeline.coarse.len(), 1);
     let last = outcome.last.unwrap();
     let told = timeline.estimates.last().unwrap();
-    assert!(timeline.estimates.len() > 3 && last.t_s - told.t_s < 1.2, "{told:?}");
+    assert!(timeline.estimates.len() > 5 && last.t_s - told.t_s < 1.2, "{told:?}");
     let sd = told.attitude.heading_sd_deg / last.sd.heading_deg;
     assert!((0.95..1.1).contains(&sd), "{told:?} {last:?}");
 
-    assert!(last.t_s > 78.0, "{}", last.t_s);
+    assert!(last.t_s > 82.0, "{}", last.t_s);
     assert!(last.sigmas().abs() < 3.0, "{last:?}");
     assert!(last.sd.heading_deg < 1.0, "{last:?}");
     assert!(
@@ -189,9 +189,9 @@ fn the_image_homes_and_aligns() {
 
     let answers = |head: &str| kept.sentences.iter().filter(|text| text.starts_with(head)).count();
     // Ten times a second.
-    assert!((770..=810).contains(&answers("$HETHS,")), "{}", answers("$HETHS,"));
+    assert!((810..=850).contains(&answers("$HETHS,")), "{}", answers("$HETHS,"));
     assert!(
-        answers("$HEHDT,") > 25 && answers("$HEHDT,") < 150,
+        answers("$HEHDT,") > 50 && answers("$HEHDT,") < 150,
         "{}",
         answers("$HEHDT,")
     );

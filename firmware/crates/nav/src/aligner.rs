@@ -46,8 +46,9 @@ use crate::{
 /// replayed: 34 kB in f32.
 pub const QUEUE: usize = 1200;
 
-/// Increments filtered from the queue, and carried back, for each second of samples. A pass over 50 s takes two seconds, and
-/// 5 % of a Cortex-M4F at 168 MHz; with the rest of the unit, less than a tenth of it.
+/// Increments filtered from the queue, and carried back, for each second of samples, in whole ones for each sample: at 202
+/// samples a second three and seven, and a pass over 54 s takes 2.6 s. With the rest of the unit it is less than a tenth of a
+/// Cortex-M4F at 168 MHz.
 const FORWARD: f64 = 700.0;
 const BACK: f64 = 1500.0;
 
@@ -426,7 +427,14 @@ fn step_both<T: Real, const B: usize>(
 /// a rival that is refuted goes.
 fn compare<T: Real, const B: usize>(filter: &mut FineFilter<T, B>, rival: &mut Option<Rival<T, B>>) {
     match rival {
-        None => *rival = filter.split().map(|(filter, behind)| Rival { filter, behind }),
+        None if filter.is_ambiguous() => {
+            let other = rival.insert(Rival {
+                filter: *filter,
+                behind: T::zero(),
+            });
+            other.behind = filter.split(&mut other.filter);
+        }
+        None => {}
         Some(other) => {
             if other.behind < T::zero() {
                 core::mem::swap(filter, &mut other.filter);
@@ -976,10 +984,11 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                 ratio: consistency.ratio,
             });
         }
-        let sd = self.estimate()?.sd.heading;
+        let estimate = self.estimate()?;
+        let sd = estimate.sd.heading;
         if let Some(rival) = rival.as_ref().filter(|rival| rival.behind < T::lit(CERTAIN)) {
             return Some(NotReady::Ambiguous {
-                heading_offset: self.heading_offset(filter, &rival.filter),
+                heading_offset: self.heading_offset(estimate.attitude.heading, &rival.filter),
                 gyro_bias_z: rival.filter.solution().corrections.gyro_bias_s.z(),
             });
         }
@@ -994,23 +1003,21 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         (sd > self.config.ready_heading_sd).then_some(NotReady::HeadingSd { sd })
     }
 
-    /// `C_b^n` by a filter at the last increment that it has had.
-    fn c_nb(&self, filter: &FineFilter<T, B>) -> Rot<Nav, Body, T> {
-        let solution = filter.solution();
-        let corrections = &solution.corrections;
+    /// `C_b^n` now, by a filter whose solution this is.
+    fn c_nb(&self, filter: &FineFilter<T, B>, solution: &Strapdown<T>) -> Rot<Nav, Body, T> {
         let mut c_ns = solution.c_ns.get();
         if let Some(pending) = self.decimator.pending() {
-            let gyro_error = corrections.gyro_error(&pending, self.alpha);
+            let gyro_error = solution.corrections.gyro_error(&pending, self.alpha);
             let turn = Rot::exp(pending.phi_s - gyro_error);
             c_ns = (Rot::exp(-(self.earth.w_ie_n() * pending.dt)) * c_ns * turn).normalized();
         }
-        (c_ns * filter.rotor_in_s(&solution)).normalized() * self.c_sb()
+        (c_ns * filter.rotor_in_s(solution)).normalized() * self.c_sb()
     }
 
-    /// Heading by `other` less that by `filter`, clockwise, rad.
-    fn heading_offset(&self, filter: &FineFilter<T, B>, other: &FineFilter<T, B>) -> T {
-        let heading = |filter| Attitude::from_rot(&self.c_nb(filter)).heading;
-        math::wrap_pi(heading(other) - heading(filter))
+    /// Heading by `other` less `heading`, clockwise, rad.
+    fn heading_offset(&self, heading: T, other: &FineFilter<T, B>) -> T {
+        let c_nb = self.c_nb(other, &other.solution());
+        math::wrap_pi(Attitude::from_rot(&c_nb).heading - heading)
     }
 
     /// What is known now; `None` before the fine filter is at the present.
@@ -1024,17 +1031,19 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         else {
             return None;
         };
-        let corrections = filter.solution().corrections;
-        let c_nb = self.c_nb(filter);
+        let solution = filter.solution();
+        let corrections = &solution.corrections;
+        let c_nb = self.c_nb(filter, &solution);
+        let attitude = Attitude::from_rot(&c_nb);
         let mut p = filter.phi_covariance();
         if let Some(rival) = rival {
-            let (share, offset) = (rival.share(), self.heading_offset(filter, &rival.filter));
+            let (share, offset) = (rival.share(), self.heading_offset(attitude.heading, &rival.filter));
             let there = rival.filter.phi_covariance()[(2, 2)] + offset * offset;
             p[(2, 2)] = p[(2, 2)] * (T::one() - share) + there * share;
         }
         Some(Estimate {
             c_nb,
-            attitude: Attitude::from_rot(&c_nb),
+            attitude,
             sd: AttitudeSd::from_phi_covariance(&c_nb, &p),
             gyro_bias_s: corrections.gyro_bias_s + corrections.gyro_instability_s,
             gyro_bias_sd: filter.gyro_bias_sd(),

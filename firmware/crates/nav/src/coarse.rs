@@ -401,6 +401,57 @@ mod tests {
         assert!(matches!(solve(early, still), Err(CoarseError::Degenerate { .. })));
     }
 
+    #[test]
+    fn a_level_start_puts_up_where_the_force_points() {
+        let up = Vec3::<Nav, f64>::new(0.0, 0.0, 1.0);
+        for (pitch, roll) in [
+            (0.0, 0.0),
+            (5.0, -3.0),
+            (-40.0, 70.0),
+            (0.0, 180.0),
+            (20.0, 178.0),
+            (89.0, 0.0),
+        ] {
+            let c_nb = Rot::from_yaw_pitch_roll(2.1, pitch * DEG, roll * DEG);
+            let (_, points) = points::<f64>(40.0, c_nb, 20);
+            let c_ns = points[18].level();
+            let matrix = c_ns.matrix();
+            assert!(
+                (matrix * matrix.transpose() - Matrix3::identity()).amax() < 1e-14,
+                "{pitch} {roll}"
+            );
+            // The rotor turns s, and Earth turns gravity by 0.04° in 9 s.
+            let (found, true_up) = ((c_ns.inverse() * up).vector(), (c_nb.inverse() * up).vector());
+            let tilt = found.cross(&true_up).norm();
+            assert!(tilt < 0.05 * DEG, "{pitch} {roll}: {tilt}");
+        }
+        let upside_down = CoarsePoint {
+            v_ib0: Vec3::new(0.0, 0.0, -1.0),
+            ..Coarse::<f64>::new().point()
+        };
+        assert!((upside_down.level().inverse() * up).z() < -1.0 + 1e-12);
+    }
+
+    #[test]
+    fn a_level_start_is_as_uncertain_as_the_biases_make_it() {
+        let earth = Earth::<f64>::new(40.0 * DEG, 0.0).unwrap();
+        let (_, points) = points::<f64>(40.0, Rot::identity(), 60);
+        let sd = |gyro_bias_sd, accel_bias_sd| {
+            let noise = ImuNoise {
+                gyro_bias_sd,
+                accel_bias_sd,
+                ..ImuNoise::default()
+            };
+            points[54].level_sd(&noise, &earth)
+        };
+        // After whole turns the level biases have gone round; that of z tilts nothing but counts as one that does: half of
+        // 54 s of it, and the accelerometers' z likewise.
+        let (by_gyro, by_accel) = (sd(1e-3, 0.0), sd(0.0, 0.1));
+        assert!((by_gyro - 27e-3).abs() < 0.5e-3, "{by_gyro}");
+        assert!((by_accel - 0.1 / earth.gravity()).abs() < 0.05 * by_accel, "{by_accel}");
+        assert!((sd(1e-3, 0.1) - math::hypot(by_gyro, by_accel)).abs() < 1e-12);
+    }
+
     /// Chance, seeded: SplitMix64.
     struct Chance(u64);
 

@@ -49,7 +49,7 @@ use crate::{
     increment::Increment,
     model::{ACCEL_COLUMNS, BA, BG, DP, DV, GM, GYRO_TERMS, GyroDrive, HB, Interval, MZ, PHI, ROBUST, WE},
     noise::ImuNoise,
-    north::North,
+    north::{Direction, North},
     strapdown::Strapdown,
     trust::{Trust, TrustConfig},
 };
@@ -293,8 +293,6 @@ pub struct FineFilter<T: Real = f32, const B: usize = ROBUST> {
     closed: bool,
     /// The loop closes as soon as heading is known well enough.
     closing: bool,
-    /// One of two about different headings: see [`split`](Self::split).
-    is_split: bool,
     /// Where north is, while δω says it.
     north: North<T>,
     /// Variances beyond which fading makes no state less known: those at the start, and of the gyro biases
@@ -418,7 +416,6 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             error: [Vector3::zeros(); B],
             closed: false,
             closing: false,
-            is_split: false,
             north: North::ahead(),
             faded,
             axis_by_bias,
@@ -590,32 +587,34 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         }
     }
 
-    /// Where another heading fits as well, makes one filter about each of the two: this one about the likelier, the one
-    /// returned about the other. With it how much less likely it is, as −2 ln of the ratio.
+    /// The other heading, where it fits nearly as well as the best.
+    fn other_heading(&self) -> Option<Direction<T>> {
+        let limit = self.north.best.cost + T::lit(CERTAIN);
+        self.north.other.filter(|other| other.cost <= limit)
+    }
+
+    /// Whether another heading fits as well, and the filter is to be [split](Self::split).
+    pub fn is_ambiguous(&self) -> bool {
+        B > WE && !self.closed && self.other_heading().is_some()
+    }
+
+    /// Makes of an [ambiguous](Self::is_ambiguous) filter and `copy`, a copy of it, one filter about each of two headings:
+    /// this one about the likelier. Returns how much less likely the other is, as −2 ln of the ratio.
     ///
     /// Both know the length of Earth's level rate from here on, and heading is one angle.
-    pub fn split(&mut self) -> Option<(Self, T)> {
-        if B <= WE || self.closed {
-            return None;
-        }
-        let other = self.north.other?;
-        let cost = other.cost - self.north.best.cost;
-        if cost > T::lit(CERTAIN) {
-            return None;
-        }
-        let mut rival = *self;
-        rival.north.best = other;
-        for filter in [&mut *self, &mut rival] {
-            filter.north.other = None;
-            filter.turn_to_north();
-            filter.know_length();
-            filter.closed = true;
-            filter.is_split = true;
+    pub fn split(&mut self, copy: &mut Self) -> T {
+        let best = self.north.best;
+        let other = self.other_heading().unwrap_or(best);
+        for (filter, direction) in [(&mut *self, best), (&mut *copy, other)] {
+            filter.north = North {
+                best: direction,
+                other: None,
+            };
+            filter.close();
             filter.take_out();
         }
         // The density at its highest, times its width.
-        let width = math::ln(self.heading_var() / rival.heading_var());
-        Some((rival, cost + width))
+        other.cost - best.cost + math::ln(self.heading_var() / copy.heading_var())
     }
 
     /// Measures that the base has not turned about the vertical (see [`constraint`]), between what is
@@ -681,17 +680,11 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
     fn feed_back(&mut self) {
         if B > WE && !self.closed {
             self.find_north();
-            let certain = self
-                .north
-                .other
-                .is_none_or(|other| other.cost > self.north.best.cost + T::lit(CERTAIN));
-            let close = self.closing && certain && self.heading_var() < T::lit(CLOSING_SD * CLOSING_SD);
-            if close || self.north.best.angle.abs() > T::lit(TURNING) {
+            let certain = self.other_heading().is_none();
+            if self.closing && certain && self.heading_var() < T::lit(CLOSING_SD * CLOSING_SD) {
+                self.close();
+            } else if self.north.best.angle.abs() > T::lit(TURNING) {
                 self.turn_to_north();
-            }
-            if close {
-                self.know_length();
-                self.closed = true;
             }
         }
         if self.closed || B > WE {
@@ -718,20 +711,24 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
     /// The model holds about the direction that Earth's rate is taken to have: φ_U times what δω adds to it is left
     /// out, and would be 0.1° of heading for 0.4° of drift at 15°.
     fn turn_to_north(&mut self) {
-        let turn = self.northward();
-        let matrix = turn.matrix();
-        let couplings = [PHI, DV, DP, WE].map(|block| Coupling {
-            row: block,
-            col: block,
-            block: matrix - Matrix3::identity(),
-        });
-        self.covariance.propagate(&couplings);
+        let matrix = self.northward().matrix();
         let w_ie_n = self.earth.w_ie_n().vector();
-        let rate = matrix * (w_ie_n + self.error[WE]);
         for block in [PHI, DV, DP] {
             self.error[block] = matrix * self.error[block];
         }
-        self.error[WE] = rate - w_ie_n;
+        self.error[WE] = matrix * (w_ie_n + self.error[WE]) - w_ie_n;
+        self.turn_frame();
+    }
+
+    /// The same without the estimated error.
+    fn turn_frame(&mut self) {
+        let turn = self.northward();
+        let couplings = [PHI, DV, DP, WE].map(|block| Coupling {
+            row: block,
+            col: block,
+            block: turn.matrix() - Matrix3::identity(),
+        });
+        self.covariance.propagate(&couplings);
         self.strapdown.turn(turn);
         let angle = self.north.best.angle;
         self.north.best.angle = T::zero();
@@ -740,26 +737,43 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         }
     }
 
-    /// Moves what is uncertain in the direction of Earth's level rate to φ_U, and uses that its length is known. North
-    /// must be ahead.
-    fn know_length(&mut self) {
+    /// Closes the loop: north, as estimated, is ahead, what is uncertain in the direction of Earth's level rate is heading,
+    /// φ_U, and the length of that rate is known.
+    fn close(&mut self) {
+        self.error = self.closed_error(&self.error);
+        self.turn_frame();
         let (mut to_heading, mut gone, mut least) = (Matrix3::zeros(), Matrix3::zeros(), Matrix3::zeros());
         to_heading[(2, 0)] = T::one() / self.earth.w_north();
         gone[(0, 0)] = -T::one();
         let couplings = [(PHI, to_heading), (WE, gone)].map(|(row, block)| Coupling { row, col: WE, block });
         self.covariance.propagate(&couplings);
-        self.error = propagated(&self.error, &couplings);
         // A state without any variance cannot be in a covariance: known to 1e-5 rad of heading.
         let little = self.earth.w_north() * T::lit(1e-5);
         least[(0, 0)] = little * little;
         self.covariance.add(WE, WE, &least);
         for _ in 0..PARTS {
-            let gain = self.covariance.update(WE, 1, self.length_var() * T::lit(PARTS as f64));
-            let residual = -self.error[WE].y;
-            for (part, column) in self.error.iter_mut().zip(&gain.column) {
-                *part += column * residual;
-            }
+            self.covariance.update(WE, 1, self.length_var() * T::lit(PARTS as f64));
         }
+        self.closed = true;
+    }
+
+    /// What [closing the loop](Self::close) makes of an estimated error.
+    fn closed_error(&self, error: &[Vector3<T>; B]) -> [Vector3<T>; B] {
+        let matrix = self.northward().matrix();
+        let w_ie_n = self.earth.w_ie_n().vector();
+        let rate = matrix * (w_ie_n + error[WE]) - w_ie_n;
+        // The length is measured along `ahead`.
+        let ahead = matrix.row(1).transpose();
+        let own = self.covariance.block(WE, WE) * ahead;
+        let gain = -rate.y / (ahead.dot(&own) + self.length_var());
+        let mut closed = core::array::from_fn(|block| error[block] + self.covariance.block(block, WE) * ahead * gain);
+        for block in [PHI, DV, DP] {
+            closed[block] = matrix * closed[block];
+        }
+        let rate = rate + matrix * own * gain;
+        closed[PHI].z += rate.x / self.earth.w_north();
+        closed[WE] = Vector3::new(T::zero(), rate.y, rate.z);
+        closed
     }
 
     /// From the strapdown's frame to the one in which north, as estimated, is ahead.
@@ -800,10 +814,11 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
     }
 
     /// Feedback: the estimated error leaves the strapdown, and is zero. δω stays where it is: it is constant. So does heading
-    /// of a filter that was split, while it is not known well and has moved by less than its σ.
+    /// that is not known well and has moved by less than its σ: the model stays linear about one heading, for the frame that
+    /// turns with each estimate would turn against errors that are fixed to the housing, and measure them by that.
     fn take_out(&mut self) {
         let mut kept = T::zero();
-        if B > WE && self.is_split {
+        if B > WE {
             let (heading, var) = (self.error[PHI].z, self.heading_var());
             if var > T::lit(CLOSING_SD * CLOSING_SD) && heading * heading < var {
                 kept = heading;
@@ -819,21 +834,16 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
 
     /// The strapdown without its estimated error, now.
     pub fn solution(&self) -> Strapdown<T> {
-        if self.closed && self.error[PHI].z == T::zero() {
-            return self.strapdown;
-        }
-        let couplings = self.interval.couplings(&self.config.noise, &self.earth);
         let mut solution = self.strapdown;
-        if B > WE && !self.closed {
-            let mut closed = *self;
-            closed.error = propagated(&self.error, &couplings);
-            closed.turn_to_north();
-            closed.know_length();
-            solution = closed.strapdown;
-            solution.correct(&closed.error);
-        } else {
-            solution.correct(&propagated(&self.error, &couplings));
+        if self.closed && self.error[PHI].z == T::zero() {
+            return solution;
         }
+        let mut error = propagated(&self.error, &self.interval.couplings(&self.config.noise, &self.earth));
+        if B > WE && !self.closed {
+            error = self.closed_error(&error);
+            solution.turn(self.northward());
+        }
+        solution.correct(&error);
         solution
     }
 

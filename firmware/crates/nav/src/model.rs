@@ -136,10 +136,6 @@ fn component<T: Real>(v: Vec3<Sensor, T>, axis: usize) -> T {
 const MOST_COUPLINGS: usize = 38;
 
 /// Appends to a list that has room for the full one.
-///
-/// Inlined on the target alone, where it saves a fifth of the small filter's step. On the host LLVM takes more than
-/// 20 minutes over 38 inlined pushes to one list.
-#[cfg_attr(not(target_arch = "arm"), inline(never))]
 fn add_coupling<T: Real>(all: &mut Vec<Coupling<T>, MOST_COUPLINGS>, row: usize, col: usize, block: Matrix3<T>) {
     let pushed = all.push(Coupling { row, col, block });
     debug_assert!(pushed.is_ok(), "MOST_COUPLINGS");
