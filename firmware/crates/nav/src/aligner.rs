@@ -36,7 +36,7 @@ use crate::{
     fine::{CERTAIN, FilterConfig, FilterConfigError, FineFilter, Innovation},
     increment::{Compensator, Decimator, Increment, Sample},
     model::{ROBUST, WE},
-    noise::ImuNoise,
+    noise::{ImuNoise, WalkMeter},
     rotor::RotorConfig,
     strapdown::{Corrections, Strapdown},
     trust::Trust,
@@ -345,6 +345,8 @@ struct Pass<T: Real> {
     gyro_bias_z: T,
     /// 1σ of the tilt of that, rad.
     tilt_sd: T,
+    /// Of the gyros, as told or as measured, rad/√s.
+    angle_random_walk: T,
     /// Variance of the base's displacement that it starts with, m².
     level_var: T,
     /// How many increments it takes.
@@ -380,6 +382,7 @@ enum Stage<T: Real, const B: usize> {
         coarse: Coarse<T>,
         first: Option<CoarsePoint<T>>,
         gyro_bias_z: GyroBiasZ<T>,
+        walk: WalkMeter<T>,
     },
     Fine {
         filter: FineFilter<T, B>,
@@ -635,9 +638,13 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                     coarse: Coarse::new(),
                     first: None,
                     gyro_bias_z: GyroBiasZ::new(),
+                    walk: WalkMeter::new(),
                 };
             }
             return event;
+        }
+        if let Stage::Coarse { walk, .. } = &mut self.stage {
+            walk.push(sample);
         }
         let increment = self.compensator.increment(sample);
         let joined = self.decimator.push(&increment);
@@ -700,6 +707,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             coarse,
             first,
             gyro_bias_z,
+            ..
         } = &mut self.stage
         {
             coarse.push(&joined);
@@ -722,6 +730,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             coarse,
             first: Some(first),
             gyro_bias_z,
+            walk,
         } = &self.stage
         else {
             return None;
@@ -755,6 +764,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             start,
             gyro_bias_z: gyro_bias_z.start_from(noise, &self.earth),
             tilt_sd: math::hypot(self.config.filter.tilt_sd, tilt_sd),
+            angle_random_walk: walk.at_least(noise.angle_random_walk),
             level_var: T::zero(),
             length: self.queue.len(),
         };
@@ -768,6 +778,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         let mut config = self.config.filter;
         if B > WE {
             config.tilt_sd = pass.tilt_sd;
+            config.noise.angle_random_walk = pass.angle_random_walk;
         }
         // The figures were checked when the aligner was made.
         let filter = FineFilter::new(config, self.earth, pass.start, trust)
