@@ -6,12 +6,13 @@
 //! | unit | use | figures |
 //! |---|---|---|
 //! | clock | HSE bypassed, 8 MHz from the debugger's MCO; PLL | 8 MHz / 4 × 168 / 2 = 168 MHz; APB1 42, APB2 84 MHz |
+//! | | without it HSI, 16 MHz | 16 MHz / 8 × 168 / 2, up to 8 % off: see [`ClockSource`] |
 //! | SPI1 | IMU | 84 MHz / 16 = 5.25 MHz: a burst allows 6 |
 //! | SPI3 | encoder | 42 MHz / 8 = 5.25 MHz: 9 µs for an angle |
 //! | TIM1 | bridge, centre-aligned | 168 MHz / (2 × 4200) = 20 kHz, 12 bits |
 //! | TIM5 | clock of the unit | 1 µs |
 //! | USART2 | NMEA out, commands in | 115200 baud |
-//! | IWDG | watchdog | [`WATCHDOG_US`] by a clock of 17 to 47 kHz where 32 is meant |
+//! | IWDG | watchdog, from the first instant on | [`WATCHDOG_US`] by a clock of 17 to 47 kHz where 32 is meant |
 //! | flash, bank 2, sectors 12–15 | settings | 4 × 16 kB |
 //!
 //! # Priorities
@@ -32,7 +33,7 @@ use core::ptr;
 use core::task::Poll;
 
 use app::blackbox::{self, Memory, SLOTS, Slot};
-use app::hal::{ChangeOver, Cutoff, Edge, EdgeCapture, ResetCause, Watchdog};
+use app::hal::{ChangeOver, ClockSource, Cutoff, Edge, EdgeCapture, ResetCause, Watchdog};
 use drivers::motor::{Duty, MotorDriver, ThreePhase};
 use embassy_executor::{InterruptExecutor, SendSpawner};
 use embassy_stm32::exti::{ExtiInput, TriggerEdge};
@@ -61,6 +62,13 @@ use static_cell::StaticCell;
 
 /// Clock of the core, Hz.
 const CORE_HZ: u32 = 168_000_000;
+/// Clock of the core from a reset until the clocks are set up, Hz.
+const RESET_HZ: u32 = 16_000_000;
+/// How long the clock from the debugger may take to come, ms: its controller starts with the same supply as this part.
+/// As long as ST's own HAL waits, and well within the watchdog's time.
+const CLOCK_WAIT_MS: u32 = 100;
+/// From one look for it to the next, µs.
+const CLOCK_LOOK_US: u32 = 10;
 /// Clock of both SPI buses, Hz.
 const SPI_HZ: u32 = 5_250_000;
 /// Frequency of the bridge's PWM, Hz: above hearing, and as slow as that allows, for the bridge's losses.
@@ -132,7 +140,6 @@ resources! {
         serial: USART2,
         serial_dma_tx: DMA1_CH6,
         serial_dma_rx: DMA1_CH5,
-        watchdog: IWDG,
         flash: FLASH,
     }
 }
@@ -159,6 +166,8 @@ pub type SettingsFlash = Bank2Region1<'static, flash::Async>;
 pub struct Board {
     /// Why it came up.
     pub reset_cause: ResetCause,
+    /// What its clock goes by.
+    pub clock: ClockSource,
     /// The IMU's bus.
     pub imu: Device,
     /// The IMU's data-ready.
@@ -175,16 +184,24 @@ pub struct Board {
     pub serial_tx: SerialTx,
     /// The serial port: commands in.
     pub serial_rx: SerialRx,
-    /// The watchdog, not started yet.
+    /// The watchdog, which runs.
     pub watchdog: Iwdg,
     /// The flash of the settings.
     pub settings: SettingsFlash,
 }
 
 impl Board {
-    /// Starts the clocks and takes the board's resources. Once: a second call panics.
+    /// Starts watchdog and clocks and takes the board's resources. Once: a second call panics.
     pub fn start() -> Self {
-        let (pins, units) = split(embassy_stm32::init(config()));
+        // First: what hangs from here on ends in a reset.
+        let watchdog = Iwdg::start();
+        let clock = clock_source();
+        let (pins, units) = split(embassy_stm32::init(config(clock)));
+        if clock == ClockSource::Crystal {
+            // A clock that stops later takes the outputs of TIM1 away, and ends in an interrupt that nothing serves: a
+            // reset, and a start by the chip's own.
+            pac::RCC.cr().modify(|w| w.set_csson(true));
+        }
         fast_flash();
         priorities();
 
@@ -258,6 +275,7 @@ impl Board {
 
         Self {
             reset_cause: reset_cause(),
+            clock,
             imu: Device::new(imu_spi, Output::new(pins.imu_select, Level::High, Speed::VeryHigh)),
             imu_ready: DataReady::new(ExtiInput::new_blocking(
                 pins.imu_ready,
@@ -277,21 +295,47 @@ impl Board {
             },
             serial_tx,
             serial_rx: serial_rx.into_ring_buffered(RECEIVED.init([0; RECEIVE])),
-            watchdog: Iwdg(IndependentWatchdog::new(units.watchdog, WATCHDOG_US)),
+            watchdog,
             settings: Flash::new(units.flash, Irqs).into_regions().bank2_region1,
         }
     }
 }
 
-fn config() -> Config {
+/// Waits for the clock from outside, and no longer than [`CLOCK_WAIT_MS`]: the HAL would wait for ever for one that does
+/// not come, as without the debugger's half of the board.
+fn clock_source() -> ClockSource {
+    // The bypass can only be set while the oscillator is off.
+    pac::RCC.cr().modify(|w| w.set_hsebyp(true));
+    pac::RCC.cr().modify(|w| w.set_hseon(true));
+    for _ in 0..CLOCK_WAIT_MS * 1000 / CLOCK_LOOK_US {
+        if pac::RCC.cr().read().hserdy() {
+            return ClockSource::Crystal;
+        }
+        cortex_m::asm::delay(RESET_HZ / 1_000_000 * CLOCK_LOOK_US);
+    }
+    pac::RCC.cr().modify(|w| w.set_hseon(false));
+    ClockSource::Internal
+}
+
+fn config(clock: ClockSource) -> Config {
     let mut config = Config::default();
-    config.rcc.hse = Some(Hse {
-        freq: Hertz(8_000_000),
-        mode: HseMode::Bypass,
-    });
-    config.rcc.pll_src = PllSource::HSE;
+    // 2 MHz into the PLL from either.
+    let prediv = match clock {
+        ClockSource::Crystal => {
+            config.rcc.hse = Some(Hse {
+                freq: Hertz(8_000_000),
+                mode: HseMode::Bypass,
+            });
+            config.rcc.pll_src = PllSource::HSE;
+            PllPreDiv::DIV4
+        }
+        ClockSource::Internal => {
+            config.rcc.pll_src = PllSource::HSI;
+            PllPreDiv::DIV8
+        }
+    };
     config.rcc.pll = Some(Pll {
-        prediv: PllPreDiv::DIV4,
+        prediv,
         mul: PllMul::MUL168,
         divp: Some(PllPDiv::DIV2),
         divq: Some(PllQDiv::DIV7),
@@ -593,11 +637,15 @@ impl SpiDevice for Device {
 pub struct Iwdg(IndependentWatchdog<'static, peripherals::IWDG>);
 
 impl Iwdg {
-    /// Starts it; from here on it is fed or it bites.
-    pub fn start(&mut self) {
+    /// Starts it; from here on it is fed or it bites. Before the HAL is up, which may wait without end for a clock.
+    fn start() -> Self {
         // A breakpoint is no fault.
         pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
-        self.0.unleash();
+        // SAFETY: nobody else names this peripheral, see `resources`; the HAL hands it out later and does not touch it.
+        let peripheral = unsafe { peripherals::IWDG::steal() };
+        let mut watchdog = IndependentWatchdog::new(peripheral, WATCHDOG_US);
+        watchdog.unleash();
+        Self(watchdog)
     }
 }
 

@@ -53,11 +53,12 @@ static ROTOR: StaticCell<Rotor> = StaticCell::new();
 static ALIGNER: StaticCell<Aligner> = StaticCell::new();
 
 /// Starts every task. Panics where the parameters are refused: nothing has moved then.
-pub async fn start(spawner: Spawner, mut board: Board, blackbox: BlackBox<BlackBoxRam>) {
+pub async fn start(spawner: Spawner, board: Board, blackbox: BlackBox<BlackBoxRam>) {
     let mut store = Store::new(board.settings);
     let (settings, report) = store.load_over(params::factory()).await;
     app::log::settings(&report);
     let shared = shared(settings);
+    shared.set_clock(board.clock);
     let aligning = settings.aligner(params::filter());
     let aligner = aligner(aligning);
     let encoder = MagneticEncoder {
@@ -71,7 +72,6 @@ pub async fn start(spawner: Spawner, mut board: Board, blackbox: BlackBox<BlackB
     };
     let imu = Imu::new(board.imu, Delay);
 
-    board.watchdog.start();
     let (Ok(motor), Ok(sampling), Ok(alignment), Ok(supervisor), Ok(output), Ok(console), Ok(report)) = (
         motor(shared, encoder, drive, rotor(&settings), settings.encoder.correction),
         sampling(shared, imu, board.imu_ready),

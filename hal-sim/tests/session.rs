@@ -4,13 +4,14 @@
 #[path = "common/answer.rs"]
 mod answer;
 
+use app::hal::{ClockSource, ResetCause};
 use app::nmea::Talker;
 use frames::units::{DEG, DEG_PER_HOUR, PPM};
 use hal_sim::align::Method;
 use hal_sim::bus::UartLine;
 use hal_sim::scenario::Scenario;
 use hal_sim::sensors::Imu;
-use hal_sim::unit_sim::{self, Observer, Typed, UnitResult};
+use hal_sim::unit_sim::{self, Observer, RobustSession, Typed, UnitResult};
 
 /// Answers of the unit, in order.
 #[derive(Default)]
@@ -308,4 +309,42 @@ fn nonsense_is_answered() {
     assert_eq!(result.state, "coarse");
     let (quiet, _) = session(&scenario, 2, 30.0, &[]);
     assert_eq!(result.settings, quiet.settings);
+}
+
+/// Every sentence as it comes.
+#[derive(Default)]
+struct Sentences(Vec<String>);
+
+impl Observer for Sentences {
+    fn sentence(&mut self, line: &UartLine) {
+        self.0.push(String::from_utf8_lossy(&line.bytes).into_owned());
+    }
+}
+
+/// The scenario aligns in two minutes; by the chip's own clock the filter does as well, and the unit does not stand by it.
+#[test]
+fn by_the_chips_own_clock_no_heading_is_valid() {
+    let scenario = Scenario::builtin("static").unwrap();
+    let run = |clock| {
+        let mut unit = RobustSession::new(&scenario, 1, Method::Robust, &[]).unwrap();
+        let mut heard = Sentences::default();
+        unit.set_clock(clock);
+        unit.reset(ResetCause::PowerOn, &mut ()).unwrap();
+        unit.run_until_us(200_000_000, &mut heard).unwrap();
+        (unit.result().state, heard.0)
+    };
+    let count = |heard: &[String], with: &str| heard.iter().filter(|text| text.contains(with)).count();
+
+    let (state, heard) = run(ClockSource::Crystal);
+    assert_eq!(state, "aligned");
+    assert!(count(&heard, ",A*") > 100 && count(&heard, ",clock,") == 0);
+
+    let (state, heard) = run(ClockSource::Internal);
+    assert_eq!(state, "fine");
+    let headings: Vec<_> = heard.iter().filter(|text| text.starts_with("$HETHS,")).collect();
+    assert!(headings.len() > 1900);
+    assert!(headings.iter().all(|text| text.starts_with("$HETHS,,V*")));
+    assert_eq!(count(&heard, "$HEHDT"), 0);
+    let statuses = count(&heard, "$PRNST,");
+    assert!(statuses > 190 && count(&heard, ",,clock,,,") == statuses, "{statuses}");
 }

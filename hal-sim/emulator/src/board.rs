@@ -54,7 +54,15 @@ impl Board {
     /// # Errors
     /// Where the part does not assemble.
     pub fn new(timer: BridgeTimer) -> Result<Self, Error> {
-        let part = Part::new(CRYSTAL_HZ, timer)?;
+        Self::with_clock(CRYSTAL_HZ, timer)
+    }
+
+    /// The same with another clock input, Hz; zero for one that stands still.
+    ///
+    /// # Errors
+    /// Where the part does not assemble.
+    pub fn with_clock(hse_hz: u64, timer: BridgeTimer) -> Result<Self, Error> {
+        let part = Part::new(hse_hz, timer)?;
         let map = MemoryMap::of(part.bus())?;
         Ok(Self { part, map })
     }

@@ -110,6 +110,8 @@ pub struct Setup {
     pub flash: Option<Vec<u8>>,
     /// What drives the bridge's timer.
     pub timer: BridgeTimer,
+    /// The clock that comes in from the debugger's controller, Hz; zero for none.
+    pub clock_hz: u64,
 }
 
 impl Setup {
@@ -123,6 +125,7 @@ impl Setup {
             typed: Vec::new(),
             flash: None,
             timer: BridgeTimer::default(),
+            clock_hz: board::CRYSTAL_HZ,
         }
     }
 }
@@ -151,7 +154,7 @@ impl Observer for () {}
 pub fn run<O: Observer>(image: &Image, setup: &Setup, observer: O) -> Result<(Outcome, O), Error> {
     let stack = Stack::of(image)?;
     let world = World::new(image, setup, stack, observer)?;
-    let mut board = Board::new(setup.timer)?;
+    let mut board = Board::with_clock(setup.clock_hz, setup.timer)?;
     world.populate(&mut board);
     let session = Session::new(Box::new(board), 0, VirtualNanos(STEP_NS))?;
     let mut images = vec![image.file.clone(), stack.paint()?];

@@ -34,7 +34,7 @@ use app::blackbox::BlackBox;
 use app::command::ModeName;
 use app::console;
 use app::fault::{Fault, Task};
-use app::hal::{ChangeOver, Edge, EdgeCapture, MagneticEncoder, ResetCause};
+use app::hal::{ChangeOver, ClockSource, Edge, EdgeCapture, MagneticEncoder, ResetCause};
 use app::mode::Status;
 use app::motor::{self, Drive};
 use app::output::{self, Port};
@@ -381,6 +381,8 @@ struct Bench<const B: usize> {
     outbox: Rc<Outbox>,
     /// Hangs from the start on.
     hangs_at_start: Cell<Option<Task>>,
+    /// What the board says its clock goes by.
+    clock: Cell<ClockSource>,
     /// What the unit was built with: holds where its flash says nothing else.
     factory: Settings,
     typed: Vec<Typed>,
@@ -568,6 +570,7 @@ fn bench<const B: usize>(
         ram: Ram::garbage(seed),
         outbox: Rc::default(),
         hangs_at_start: Cell::default(),
+        clock: Cell::default(),
         factory,
         typed,
         reset: Rc::default(),
@@ -690,12 +693,13 @@ impl<const B: usize> Breakable for Rc<Bench<B>> {
 fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>, cause: ResetCause) -> Result<(), UnitError> {
     let blackbox = BlackBox::start(bench.ram.clone(), cause, now_ns() / 1000);
     // As the image's main does.
-    app::log::started(VERSION, blackbox.started());
+    app::log::started(VERSION, blackbox.started(), bench.clock.get());
     let mut store = Store::new(bench.flash.clone());
     // Reading takes the part no time.
     let (settings, report) = embassy_futures::block_on(store.load_over(bench.factory));
     app::log::settings(&report);
     let shared = Rc::new(Bus::new(VERSION, settings));
+    shared.set_clock(bench.clock.get());
     *bench.shared.borrow_mut() = Rc::clone(&shared);
     let timing = |hz| SpiTiming {
         latency_ns: DMA_LATENCY_NS,

@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use app::blackbox::{self, Entry, Memory, SLOTS, Slot};
 use app::fault::Task;
-use app::hal::{Cutoff as _, ResetCause};
+use app::hal::{ClockSource, Cutoff as _, ResetCause};
 use app::mode::Status;
 use app::shared::SampleCounts;
 use embassy_sync::signal::Signal;
@@ -228,6 +228,11 @@ impl<const B: usize> Session<B> {
     /// Lets a task hang from every start on, or none.
     pub fn hang_at_start(&mut self, task: Option<Task>) {
         self.bench.hangs_at_start.set(task);
+    }
+
+    /// What the unit is told that its clock goes by, from the next start on. The clock itself stays as it is.
+    pub fn set_clock(&mut self, clock: ClockSource) {
+        self.bench.clock.set(clock);
     }
 
     /// So many transfers with the IMU and the encoder end in a bus error.

@@ -191,6 +191,9 @@ async fn obey<M: RawMutex, F: NorFlash>(
             let mode = shared.status.try_get().map(|status| status.mode);
             match mode {
                 Some(mode) if !mode.takes(command) => (false, refusal(command)),
+                _ if command == Command::Calibrate && !shared.clock().is_exact() => {
+                    (false, "not by the chip's own clock")
+                }
                 _ if shared.commands.try_send(command).is_ok() => (true, done(command)),
                 _ => (false, "expected some time between commands"),
             }
