@@ -11,7 +11,8 @@
 //! | SPI3 | encoder | 42 MHz / 8 = 5.25 MHz: 9 µs for an angle |
 //! | TIM1 | bridge, centre-aligned | 168 MHz / (2 × 4200) = 20 kHz, 12 bits |
 //! | TIM5 | clock of the unit | 1 µs |
-//! | USART2 | NMEA out, commands in | 115200 baud |
+//! | USART3 | NMEA out, commands in, by the debugger's USB cable | 115200 baud |
+//! | USART2 | the same on pins of its own, with the feature `usart2` | 115200 baud |
 //! | IWDG | watchdog, from the first instant on | [`WATCHDOG_US`] by a clock of 17 to 47 kHz where 32 is meant |
 //! | flash, bank 2, sectors 12–15 | settings | 4 × 16 kB |
 //!
@@ -19,7 +20,7 @@
 //!
 //! ```text
 //! 0  EXTI0       data-ready: the stamp is late by no more than a critical section
-//! 2  DMA, TIM5, USART2, FLASH    short; they wake tasks
+//! 2  DMA, TIM5, USART, FLASH     short; they wake tasks
 //! 6  UART7       software interrupt: the executor of the motor's loop
 //! 7  UART8       software interrupt: the executor of the sampling
 //!    thread      everything else
@@ -96,7 +97,9 @@ macro_rules! resources {
             use embassy_stm32::peripherals;
             $(#[doc = $function] pub type $signal = peripherals::$pin;)*
         }
+        #[allow(dead_code, reason = "those of the serial port that is not in use")]
         struct Pins { $(#[doc = $function] $signal: Peri<'static, pin::$signal>,)* }
+        #[allow(dead_code, reason = "as above")]
         struct Units { $($unit: Peri<'static, peripherals::$peripheral>,)* }
 
         fn split(p: Peripherals) -> (Pins, Units) {
@@ -124,8 +127,10 @@ resources! {
         motor_enable: PF15 = "GPIO out",
         home_below: PF13 = "GPIO in",
         home_above: PF14 = "GPIO in",
-        serial_tx: PD5 = "USART2 TX",
-        serial_rx: PD6 = "USART2 RX",
+        serial_tx: PD8 = "USART3 TX",
+        serial_rx: PD9 = "USART3 RX",
+        line_tx: PD5 = "USART2 TX",
+        line_rx: PD6 = "USART2 RX",
         held_low: PA12 = "GPIO out",
     }
     units {
@@ -137,9 +142,12 @@ resources! {
         encoder_tx: DMA1_CH7,
         encoder_rx: DMA1_CH0,
         motor_timer: TIM1,
-        serial: USART2,
-        serial_dma_tx: DMA1_CH6,
-        serial_dma_rx: DMA1_CH5,
+        serial: USART3,
+        serial_dma_tx: DMA1_CH3,
+        serial_dma_rx: DMA1_CH1,
+        line: USART2,
+        line_dma_tx: DMA1_CH6,
+        line_dma_rx: DMA1_CH5,
         flash: FLASH,
     }
 }
@@ -149,8 +157,17 @@ bind_interrupts!(struct Irqs {
     DMA2_STREAM0 => dma::InterruptHandler<peripherals::DMA2_CH0>;
     DMA1_STREAM7 => dma::InterruptHandler<peripherals::DMA1_CH7>;
     DMA1_STREAM0 => dma::InterruptHandler<peripherals::DMA1_CH0>;
+    #[cfg(not(feature = "usart2"))]
+    DMA1_STREAM3 => dma::InterruptHandler<peripherals::DMA1_CH3>;
+    #[cfg(not(feature = "usart2"))]
+    DMA1_STREAM1 => dma::InterruptHandler<peripherals::DMA1_CH1>;
+    #[cfg(not(feature = "usart2"))]
+    USART3 => usart::InterruptHandler<peripherals::USART3>;
+    #[cfg(feature = "usart2")]
     DMA1_STREAM6 => dma::InterruptHandler<peripherals::DMA1_CH6>;
+    #[cfg(feature = "usart2")]
     DMA1_STREAM5 => dma::InterruptHandler<peripherals::DMA1_CH5>;
+    #[cfg(feature = "usart2")]
     USART2 => usart::InterruptHandler<peripherals::USART2>;
     FLASH => flash::InterruptHandler;
 });
@@ -260,7 +277,8 @@ impl Board {
         port.baudrate = BAUD;
         // Open, the line would take the PWM beside it for characters.
         port.rx_pull = Pull::Up;
-        let Ok(serial) = Uart::new(
+        #[cfg(not(feature = "usart2"))]
+        let serial = Uart::new(
             units.serial,
             pins.serial_rx,
             pins.serial_tx,
@@ -268,7 +286,18 @@ impl Board {
             units.serial_dma_rx,
             Irqs,
             port,
-        ) else {
+        );
+        #[cfg(feature = "usart2")]
+        let serial = Uart::new(
+            units.line,
+            pins.line_rx,
+            pins.line_tx,
+            units.line_dma_tx,
+            units.line_dma_rx,
+            Irqs,
+            port,
+        );
+        let Ok(serial) = serial else {
             defmt::panic!("{} baud cannot be had from APB1", BAUD)
         };
         let (serial_tx, serial_rx) = serial.split();
@@ -370,6 +399,7 @@ fn hold_low(pin: Peri<'static, pin::held_low>) {
 fn priorities() {
     interrupt::EXTI0.set_priority(Priority::P0);
     interrupt::TIM5.set_priority(Priority::P2);
+    interrupt::USART3.set_priority(Priority::P2);
     interrupt::USART2.set_priority(Priority::P2);
     interrupt::FLASH.set_priority(Priority::P2);
     interrupt::UART7.set_priority(Priority::P6);

@@ -31,7 +31,7 @@ pub(crate) const IMU_SPI: usize = 1;
 /// The encoder's SPI.
 pub(crate) const ENCODER_SPI: usize = 3;
 /// The serial port's USART.
-pub(crate) const SERIAL: usize = 2;
+pub(crate) const SERIAL: usize = 3;
 pub(crate) const IMU_SELECT: Pin = Pin::new('A', 4);
 pub(crate) const ENCODER_SELECT: Pin = Pin::new('A', 15);
 pub(crate) const IMU_READY: Pin = Pin::new('C', 0);

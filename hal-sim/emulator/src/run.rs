@@ -4,7 +4,7 @@
 //!            ┌────────────── part (rigless): the ELF, executed ──────────────┐
 //!  ADIS16495 ┤ SPI1, EXTI0                                  TIM1, PF15, PE15 ├ bridge ─► plant ─► rotor angle
 //!  MT6835    ┤ SPI3                                              PF13, PF14 ├ home switch         │
-//!  listener  ┤ USART2                                                        │                     │
+//!  listener  ┤ USART3                                                        │                     │
 //!            └───────────────────────────────────────────────────────────────┘      truth ─► exposure ─► ADIS16495
 //! ```
 //!
