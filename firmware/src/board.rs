@@ -34,7 +34,7 @@ use core::ptr;
 use core::task::Poll;
 
 use app::blackbox::{self, Memory, SLOTS, Slot};
-use app::hal::{ChangeOver, ClockSource, Cutoff, Edge, EdgeCapture, ResetCause, Watchdog};
+use app::hal::{ChangeOver, ClockSource, Cutoff, Edge, EdgeCapture, ResetCause, Supply, Watchdog};
 use drivers::motor::{Duty, MotorDriver, ThreePhase};
 use embassy_executor::{InterruptExecutor, SendSpawner};
 use embassy_stm32::exti::{ExtiInput, TriggerEdge};
@@ -205,6 +205,8 @@ pub struct Board {
     pub watchdog: Iwdg,
     /// The flash of the settings.
     pub settings: SettingsFlash,
+    /// What it is written by.
+    pub supply: Vdd,
 }
 
 impl Board {
@@ -326,6 +328,7 @@ impl Board {
             serial_rx: serial_rx.into_ring_buffered(RECEIVED.init([0; RECEIVE])),
             watchdog,
             settings: Flash::new(units.flash, Irqs).into_regions().bank2_region1,
+            supply: Vdd::watched(),
         }
     }
 }
@@ -682,6 +685,38 @@ impl Iwdg {
 impl Watchdog for Iwdg {
     fn feed(&mut self) {
         self.0.pet();
+    }
+}
+
+// ---------------------------------------------------------------------------------------------- supply
+
+/// PLS of the voltage detector: it falls at 2.84 V and rises at 2.93, typically.
+const DETECT: u8 = 5;
+/// BOR_LEV of brown-out level 3, the one above 2.7 V.
+const BROWN_OUT_LEVEL_3: u8 = 0;
+
+/// The part's supply, watched by its voltage detector.
+///
+/// The HAL programs words of 32 bits, which takes 2.7 V at least (RM0090, 3.6.2); it erases by bytes, which takes 1.8.
+pub struct Vdd(());
+
+impl Vdd {
+    fn watched() -> Self {
+        pac::PWR.cr1().modify(|w| {
+            w.set_pls(DETECT);
+            w.set_pvde(true);
+        });
+        Self(())
+    }
+}
+
+impl Supply for Vdd {
+    fn is_enough(&mut self) -> bool {
+        !pac::PWR.csr1().read().pvdo()
+    }
+
+    fn is_guarded(&self) -> bool {
+        pac::FLASH.optcr().read().bor_lev() == BROWN_OUT_LEVEL_3
     }
 }
 

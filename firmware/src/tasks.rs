@@ -32,7 +32,7 @@ use nav::aligner::{Aligner, AlignerConfig};
 use static_cell::StaticCell;
 
 use crate::board::{
-    self, BlackBoxRam, Board, Bridge, DataReady, Device, Iwdg, MotorCutoff, SerialRx, SerialTx, SettingsFlash,
+    self, BlackBoxRam, Board, Bridge, DataReady, Device, Iwdg, MotorCutoff, SerialRx, SerialTx, SettingsFlash, Vdd,
 };
 use crate::params;
 
@@ -57,6 +57,7 @@ pub async fn start(spawner: Spawner, board: Board, blackbox: BlackBox<BlackBoxRa
     let mut store = Store::new(board.settings);
     let (settings, report) = store.load_over(params::factory()).await;
     app::log::settings(&report);
+    app::log::supply(&board.supply);
     let shared = shared(settings);
     shared.set_clock(board.clock);
     let aligning = settings.aligner(params::filter());
@@ -82,7 +83,7 @@ pub async fn start(spawner: Spawner, board: Board, blackbox: BlackBox<BlackBoxRa
         ),
         supervisor(shared, board.watchdog, blackbox),
         output(shared, board.serial_tx, settings.output),
-        console(shared, board.serial_rx, store),
+        console(shared, board.serial_rx, store, board.supply),
         self::report(shared),
     ) else {
         defmt::unreachable!("each task is spawned once")
@@ -154,8 +155,8 @@ async fn output(shared: &'static Bus, tx: SerialTx, config: OutputConfig) -> ! {
 }
 
 #[embassy_executor::task]
-async fn console(shared: &'static Bus, rx: SerialRx, store: Store<SettingsFlash>) -> ! {
-    console::run(shared, &PORT, rx, store, BlackBoxRam).await
+async fn console(shared: &'static Bus, rx: SerialRx, store: Store<SettingsFlash>, supply: Vdd) -> ! {
+    console::run(shared, &PORT, rx, store, BlackBoxRam, supply).await
 }
 
 #[embassy_executor::task]

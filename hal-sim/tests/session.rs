@@ -11,7 +11,7 @@ use hal_sim::align::Method;
 use hal_sim::bus::UartLine;
 use hal_sim::scenario::Scenario;
 use hal_sim::sensors::Imu;
-use hal_sim::unit_sim::{self, Observer, RobustSession, Typed, UnitResult};
+use hal_sim::unit_sim::{self, Line, Observer, RobustSession, Supplied, Typed, UnitResult};
 
 /// Answers of the unit, in order.
 #[derive(Default)]
@@ -347,4 +347,59 @@ fn by_the_chips_own_clock_no_heading_is_valid() {
     assert_eq!(count(&heard, "$HEHDT"), 0);
     let statuses = count(&heard, "$PRNST,");
     assert!(statuses > 190 && count(&heard, ",,clock,,,") == statuses, "{statuses}");
+}
+
+/// What is not saved on a low supply is saved once it is there.
+#[test]
+fn nothing_is_saved_on_a_low_supply() {
+    let scenario = Scenario::builtin("static").unwrap();
+    let mut unit = RobustSession::new(&scenario, 1, Method::Robust, &[]).unwrap();
+    let mut answers = Answers::default();
+    let low = Supplied {
+        low: true,
+        unguarded: true,
+    };
+    for (at_s, supply, line) in [
+        (2, low, "set latitude 41"),
+        (3, low, "save"),
+        (4, Supplied::default(), "save"),
+    ] {
+        unit.run_until_us(at_s * 1_000_000, &mut answers).unwrap();
+        unit.set_supply(supply);
+        unit.send(format!("{line}\r\n").as_bytes());
+    }
+    unit.run_until_us(6_000_000, &mut answers).unwrap();
+    assert_eq!(
+        answers.0,
+        [
+            "ok,set - align takes it up and save keeps it",
+            "error,not saved: the supply is below 2.8 V",
+            "ok,saved",
+        ]
+    );
+}
+
+/// A level that cuts off no save is told at the start.
+#[test]
+fn a_brown_out_level_that_is_too_low_is_told() {
+    struct Lines(Vec<String>);
+    impl Observer for Lines {
+        fn line(&mut self, line: &Line) {
+            self.0.push(line.text.clone());
+        }
+    }
+    for unguarded in [false, true] {
+        let mut unit = RobustSession::new(&Scenario::builtin("static").unwrap(), 1, Method::Robust, &[]).unwrap();
+        unit.set_supply(Supplied { low: false, unguarded });
+        let mut lines = Lines(Vec::new());
+        unit.run_until_us(100_000, &mut lines).unwrap();
+        lines.0.clear();
+        unit.reset(ResetCause::PowerOn, &mut lines).unwrap();
+        unit.run_until_us(200_000, &mut lines).unwrap();
+        let told = lines
+            .0
+            .iter()
+            .any(|line| line.starts_with("settings: the brown-out level is below 2.7 V"));
+        assert_eq!(told, unguarded, "{:?}", lines.0);
+    }
 }

@@ -112,6 +112,8 @@ pub struct Setup {
     pub timer: BridgeTimer,
     /// The clock that comes in from the debugger's controller, Hz; zero for none.
     pub clock_hz: u64,
+    /// Supply of the part, mV.
+    pub supply_mv: u32,
 }
 
 impl Setup {
@@ -126,6 +128,7 @@ impl Setup {
             flash: None,
             timer: BridgeTimer::default(),
             clock_hz: board::CRYSTAL_HZ,
+            supply_mv: board::SUPPLY_MV,
         }
     }
 }
@@ -154,7 +157,7 @@ impl Observer for () {}
 pub fn run<O: Observer>(image: &Image, setup: &Setup, observer: O) -> Result<(Outcome, O), Error> {
     let stack = Stack::of(image)?;
     let world = World::new(image, setup, stack, observer)?;
-    let mut board = Board::with_clock(setup.clock_hz, setup.timer)?;
+    let mut board = Board::on(setup.clock_hz, setup.supply_mv, setup.timer)?;
     world.populate(&mut board);
     let session = Session::new(Box::new(board), 0, VirtualNanos(STEP_NS))?;
     let mut images = vec![image.file.clone(), stack.paint()?];

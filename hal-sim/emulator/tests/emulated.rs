@@ -311,6 +311,43 @@ fn without_a_clock_from_outside_the_unit_starts_by_its_own() {
     assert!(kept.lines.iter().all(|line| !line.contains("clock:")));
 }
 
+/// At 2.75 V the part runs, but is not written: words of 32 bits take 2.7, and the supply may fall on the way.
+#[test]
+fn flash_is_not_written_on_a_low_supply() {
+    let stored = vec![0xFF; 64 * 1024];
+    let run_on = |supply_mv| {
+        let setup = Setup {
+            supply_mv,
+            flash: Some(stored.clone()),
+            typed: [(0.5, "set latitude 41"), (0.7, "save")]
+                .map(|(at_s, text)| Typed {
+                    at_s,
+                    text: text.to_owned(),
+                })
+                .to_vec(),
+            ..Setup::new(paper(), 1, 2.0)
+        };
+        let (outcome, kept) = run(&setup);
+        let answers = kept.sentences.iter().filter(|text| text.starts_with("$PRNSA,"));
+        // Option bytes as delivered: brown-out off.
+        let told = kept
+            .lines
+            .iter()
+            .filter(|line| line.contains("settings: the brown-out level"));
+        assert_eq!(told.count(), 1, "{:?}", kept.lines);
+        (outcome.flash == stored, answers.last().cloned().unwrap_or_default())
+    };
+    let (untouched, answer) = run_on(2750);
+    assert!(
+        answer.starts_with("$PRNSA,error,not saved: the supply is below 2.8 V*"),
+        "{answer}"
+    );
+    assert!(untouched);
+    let (untouched, answer) = run_on(3300);
+    assert!(answer.starts_with("$PRNSA,ok,saved*"), "{answer}");
+    assert!(!untouched);
+}
+
 /// A core that stands still is reset by the watchdog, and the unit comes up again.
 #[test]
 fn a_hang_ends_with_the_watchdog() {

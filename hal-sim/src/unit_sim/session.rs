@@ -17,8 +17,8 @@ use vtime::{Executor, Level, LocalRawMutex, now_ns, sleep_until_ns};
 
 use super::record::Recording;
 use super::{
-    Bench, Core, Line, Observer, Samples, Typed, UnitError, UnitMoment, UnitResult, bench, boot, fault, moment,
-    spawn_world,
+    Bench, Core, Line, Observer, Samples, Supplied, Typed, UnitError, UnitMoment, UnitResult, bench, boot, fault,
+    moment, spawn_world,
 };
 use crate::align::Method;
 use crate::bus::{SpiFaults, UartFaults};
@@ -233,6 +233,11 @@ impl<const B: usize> Session<B> {
     /// What the unit is told that its clock goes by, from the next start on. The clock itself stays as it is.
     pub fn set_clock(&mut self, clock: ClockSource) {
         self.bench.clock.set(clock);
+    }
+
+    /// Changes the supply of the unit's part. The log tells of a level that guards nothing at the next start.
+    pub fn set_supply(&mut self, supply: Supplied) {
+        self.bench.supply.set(supply);
     }
 
     /// So many transfers with the IMU and the encoder end in a bus error.

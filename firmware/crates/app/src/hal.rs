@@ -7,6 +7,7 @@
 //! | [`HomeSwitch`] | [`ChangeOver`] of two inputs | the same |
 //! | [`Cutoff`] | MOE of TIM1 and the bridge's enable line, by register | the plant's bridge |
 //! | [`Watchdog`] | IWDG | a counter |
+//! | [`Supply`] | PVD and the option bytes' brown-out level | as told |
 //!
 //! What its clock goes by, the board tells by [`ClockSource`].
 //!
@@ -132,6 +133,19 @@ pub trait Cutoff {
 pub trait Watchdog {
     /// Puts the reset off once more.
     fn feed(&mut self);
+}
+
+/// The part's supply, in the eyes of who writes its flash.
+///
+/// Below 2.7 V words of 32 bits are not programmed for sure: they may read as they should at once and not later, which no
+/// check sum at the time of the save can see.
+pub trait Supply {
+    /// Whether it is enough, now.
+    fn is_enough(&mut self) -> bool;
+
+    /// Whether a supply that falls while flash is written ends in a reset before it is too low: a save that is cut off
+    /// is told from a whole one, see [`Store`](crate::settings::Store).
+    fn is_guarded(&self) -> bool;
 }
 
 /// What the unit's clock goes by.

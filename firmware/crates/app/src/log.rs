@@ -14,7 +14,7 @@ use crate::blackbox::Start;
 use crate::command::{Command, ModeName};
 use crate::fault::Fault;
 use crate::figure::{deg, deg_sqrt_h, figure};
-use crate::hal::ClockSource;
+use crate::hal::{ClockSource, Supply};
 use crate::selftest::Found;
 use crate::settings;
 
@@ -57,6 +57,16 @@ pub fn settings(report: &settings::Report) {
             warn,
             "settings: {} damaged stretches of flash, see what show says: a group whose record was there holds an older value or the default",
             report.damaged
+        );
+    }
+}
+
+/// A line where nothing cuts off a save whose supply falls.
+pub fn supply(supply: &impl Supply) {
+    if !supply.is_guarded() {
+        line!(
+            warn,
+            "settings: the brown-out level is below 2.7 V, a save while the supply falls may be spoilt: set BOR_LEV, see the wiring"
         );
     }
 }

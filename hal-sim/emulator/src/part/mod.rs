@@ -32,8 +32,6 @@ use exti::Exti;
 use flash::Interface;
 use pwm::QuietTim1;
 
-/// Supply of the part, mV.
-const SUPPLY_MV: u32 = 3300;
 /// Ports of the part in order; EXTICR numbers them alike.
 const PORTS: [&str; 11] = [
     "GPIOA", "GPIOB", "GPIOC", "GPIOD", "GPIOE", "GPIOF", "GPIOG", "GPIOH", "GPIOI", "GPIOJ", "GPIOK",
@@ -114,34 +112,36 @@ pub struct Part {
     flash_slot: usize,
     driven: BTreeMap<Pin, Level>,
     break_level: Level,
+    supply_mv: u32,
 }
 
 /// rigless's part with its supply on.
-fn powered(hse_hz: u64) -> Result<Stm32f427, Error> {
+fn powered(hse_hz: u64, supply_mv: u32) -> Result<Stm32f427, Error> {
     let mut inner = Stm32f427::new()?;
     inner.rcc.attach_crystals(hse_hz, 0);
-    inner.set_supply(SUPPLY_MV);
+    inner.set_supply(supply_mv);
     Ok(inner)
 }
 
 impl Part {
-    /// A part with a crystal of `hse_hz`, zero for none.
+    /// A part with a crystal of `hse_hz`, zero for none, at `supply_mv`.
     ///
     /// # Errors
     /// Where the part does not assemble, which is a mistake in a model.
-    pub fn new(hse_hz: u64, timer: BridgeTimer) -> Result<Self, Error> {
-        let inner = powered(hse_hz)?;
+    pub fn new(hse_hz: u64, supply_mv: u32, timer: BridgeTimer) -> Result<Self, Error> {
+        let inner = powered(hse_hz, supply_mv)?;
         let mut part = Self {
             exti: Exti::default(),
             exti_slot: inner.bus().slot("EXTI")?,
             quiet: (timer == BridgeTimer::Quiet).then(QuietTim1::default),
             tim1_slot: inner.bus().slot("TIM1")?,
             rcc_slot: inner.bus().slot("RCC")?,
-            flash: Interface::new(SUPPLY_MV),
+            flash: Interface::new(supply_mv),
             flash_slot: inner.bus().slot("FLASH")?,
             inner,
             driven: BTreeMap::new(),
             break_level: Level::Low,
+            supply_mv,
         };
         part.check()?;
         Ok(part)
@@ -303,7 +303,9 @@ impl Part {
     fn power_on(&mut self) {
         let (hse_hz, _) = self.inner.rcc.crystals();
         // What has assembled once does so again.
-        let Ok(mut fresh) = powered(hse_hz) else { return };
+        let Ok(mut fresh) = powered(hse_hz, self.supply_mv) else {
+            return;
+        };
         for (fresh, old) in fresh.spi.iter_mut().zip(&mut self.inner.spi) {
             fresh.inherit(old);
         }
@@ -330,7 +332,7 @@ impl Mcu for Part {
         }
         self.exti = Exti::default();
         let registers = self.inner.bus_mut().slot_mut(self.flash_slot).registers_mut();
-        self.flash.restart(SUPPLY_MV, registers);
+        self.flash.restart(self.supply_mv, registers);
         if self.quiet.is_some() {
             self.quiet = Some(QuietTim1::default());
         }
