@@ -403,3 +403,28 @@ fn a_brown_out_level_that_is_too_low_is_told() {
         assert_eq!(told, unguarded, "{:?}", lines.0);
     }
 }
+
+/// Whatever DATA_CNT counts, lost samples are known by their number, and no fault comes of it.
+#[test]
+fn either_count_of_the_imu_tells_what_is_lost() {
+    let mut scenario = Scenario::builtin("static").unwrap();
+    scenario.buses.edge_loss = 0.02;
+    let lost = [false, true].map(|base_samples| {
+        let mut unit = RobustSession::new(&scenario, 4, Method::Robust, &[]).unwrap();
+        if base_samples {
+            unit.count_base_samples();
+        }
+        unit.run_until_us(90_000_000, &mut ()).unwrap();
+        let result = unit.result();
+        assert!(result.faults.is_empty(), "{:?}", result.faults);
+        assert_ne!(result.state, "coarse");
+        assert_eq!(u64::from(result.samples.lost), result.samples.edges_lost);
+        assert!(
+            result.samples.lost > 200 && result.samples.repeated == 0,
+            "{:?}",
+            result.samples
+        );
+        result.samples
+    });
+    assert_eq!(lost[0], lost[1]);
+}

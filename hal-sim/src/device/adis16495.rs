@@ -27,6 +27,8 @@ const REVISION: u16 = 0x0100;
 pub struct Adis16495 {
     /// Faults to inject.
     pub faults: ImuFaults,
+    /// DATA_CNT counts base samples, DEC_RATE + 1 for one that is put out, and not those. Which a part does is not known.
+    pub counts_base_samples: bool,
     clock_hz: u32,
     page: u8,
     reply: u16,
@@ -53,6 +55,7 @@ impl Adis16495 {
     pub fn new(now_us: u64, clock_hz: u32) -> Self {
         let mut part = Self {
             faults: ImuFaults::default(),
+            counts_base_samples: false,
             clock_hz: clock_hz.max(1),
             page: 0,
             reply: 0,
@@ -133,7 +136,12 @@ impl Adis16495 {
             ) as u16;
         }
         if !self.faults.stuck_counter {
-            self.counter = self.counter.wrapping_add(1);
+            let gains = if self.counts_base_samples {
+                *self.setting(register::DEC_RATE) + 1
+            } else {
+                1
+            };
+            self.counter = self.counter.wrapping_add(gains);
         }
         self.flags |= self.faults.flags;
         if self.faults.missed_edges > 0 {

@@ -240,6 +240,12 @@ impl<const B: usize> Session<B> {
         self.bench.supply.set(supply);
     }
 
+    /// Lets the IMU's counter count its base samples from now on, see
+    /// [`counts_base_samples`](crate::device::Adis16495::counts_base_samples).
+    pub fn count_base_samples(&mut self) {
+        self.bench.imu.with(|model| model.counts_base_samples = true);
+    }
+
     /// So many transfers with the IMU and the encoder end in a bus error.
     pub fn fail_transfers(&mut self, imu: u32, encoder: u32) {
         let errors = |errors| SpiFaults {

@@ -8,6 +8,8 @@
 //! IMU's oscillator may be some percent off, which would be a scale factor on everything. It is measured over
 //! windows of 64 samples and judged there.
 
+use core::num::NonZeroU16;
+
 use drivers::sequence::{Arrival, SampleTracker, TrackerConfig};
 use drivers::{Channels, Error, Imu, RawSample, SystemFlags};
 use embassy_futures::poll_once;
@@ -267,7 +269,7 @@ pub async fn run<M: RawMutex, I: Imu, E: EdgeCapture>(
             scale: imu.scale(),
             period: imu.period(),
         });
-        sampler.restart(imu.period());
+        sampler.restart(imu.period(), imu.base_samples());
         // An edge from before the settings, if there is one, is none of a sample's that counts.
         let _ = poll_once(edges.edge());
         let silent_us = sampler.nominal_us as u64 * u64::from(config.silent_periods);
@@ -326,9 +328,9 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
         }
     }
 
-    fn restart(&mut self, period: f32) {
+    fn restart(&mut self, period: f32, base: NonZeroU16) {
         self.nominal_us = period * 1e6;
-        self.tracker.resynchronise();
+        self.tracker.learn(base, self.nominal_us as u32);
         self.monitor = Monitor::new(self.config);
         self.period = Period::new(self.nominal_us);
         self.raised = false;
