@@ -6,19 +6,21 @@
 //! | unit | use | figures |
 //! |---|---|---|
 //! | clock | HSE bypassed, 8 MHz from the debugger's MCO; PLL | 8 MHz / 4 × 168 / 2 = 168 MHz; APB1 42, APB2 84 MHz |
+//! | | without it HSI, 16 MHz | 16 MHz / 8 × 168 / 2, up to 8 % off: see [`ClockSource`] |
 //! | SPI1 | IMU | 84 MHz / 16 = 5.25 MHz: a burst allows 6 |
 //! | SPI3 | encoder | 42 MHz / 8 = 5.25 MHz: 9 µs for an angle |
 //! | TIM1 | bridge, centre-aligned | 168 MHz / (2 × 4200) = 20 kHz, 12 bits |
 //! | TIM5 | clock of the unit | 1 µs |
-//! | USART2 | NMEA out, commands in | 115200 baud |
-//! | IWDG | watchdog | [`WATCHDOG_US`] by a clock of 17 to 47 kHz where 32 is meant |
+//! | USART3 | NMEA out, commands in, by the debugger's USB cable | 115200 baud |
+//! | USART2 | the same on pins of its own, with the feature `usart2` | 115200 baud |
+//! | IWDG | watchdog, from the first instant on | [`WATCHDOG_US`] by a clock of 17 to 47 kHz where 32 is meant |
 //! | flash, bank 2, sectors 12–15 | settings | 4 × 16 kB |
 //!
 //! # Priorities
 //!
 //! ```text
 //! 0  EXTI0       data-ready: the stamp is late by no more than a critical section
-//! 2  DMA, TIM5, USART2, FLASH    short; they wake tasks
+//! 2  DMA, TIM5, USART, FLASH     short; they wake tasks
 //! 6  UART7       software interrupt: the executor of the motor's loop
 //! 7  UART8       software interrupt: the executor of the sampling
 //!    thread      everything else
@@ -32,7 +34,7 @@ use core::ptr;
 use core::task::Poll;
 
 use app::blackbox::{self, Memory, SLOTS, Slot};
-use app::hal::{ChangeOver, Cutoff, Edge, EdgeCapture, ResetCause, Watchdog};
+use app::hal::{ChangeOver, ClockSource, Cutoff, Edge, EdgeCapture, ResetCause, Supply, Watchdog};
 use drivers::motor::{Duty, MotorDriver, ThreePhase};
 use embassy_executor::{InterruptExecutor, SendSpawner};
 use embassy_stm32::exti::{ExtiInput, TriggerEdge};
@@ -61,6 +63,13 @@ use static_cell::StaticCell;
 
 /// Clock of the core, Hz.
 const CORE_HZ: u32 = 168_000_000;
+/// Clock of the core from a reset until the clocks are set up, Hz.
+const RESET_HZ: u32 = 16_000_000;
+/// How long the clock from the debugger may take to come, ms: its controller starts with the same supply as this part.
+/// As long as ST's own HAL waits, and well within the watchdog's time.
+const CLOCK_WAIT_MS: u32 = 100;
+/// From one look for it to the next, µs.
+const CLOCK_LOOK_US: u32 = 10;
 /// Clock of both SPI buses, Hz.
 const SPI_HZ: u32 = 5_250_000;
 /// Frequency of the bridge's PWM, Hz: above hearing, and as slow as that allows, for the bridge's losses.
@@ -88,7 +97,9 @@ macro_rules! resources {
             use embassy_stm32::peripherals;
             $(#[doc = $function] pub type $signal = peripherals::$pin;)*
         }
+        #[allow(dead_code, reason = "those of the serial port that is not in use")]
         struct Pins { $(#[doc = $function] $signal: Peri<'static, pin::$signal>,)* }
+        #[allow(dead_code, reason = "as above")]
         struct Units { $($unit: Peri<'static, peripherals::$peripheral>,)* }
 
         fn split(p: Peripherals) -> (Pins, Units) {
@@ -116,8 +127,10 @@ resources! {
         motor_enable: PF15 = "GPIO out",
         home_below: PF13 = "GPIO in",
         home_above: PF14 = "GPIO in",
-        serial_tx: PD5 = "USART2 TX",
-        serial_rx: PD6 = "USART2 RX",
+        serial_tx: PD8 = "USART3 TX",
+        serial_rx: PD9 = "USART3 RX",
+        line_tx: PD5 = "USART2 TX",
+        line_rx: PD6 = "USART2 RX",
         held_low: PA12 = "GPIO out",
     }
     units {
@@ -129,10 +142,12 @@ resources! {
         encoder_tx: DMA1_CH7,
         encoder_rx: DMA1_CH0,
         motor_timer: TIM1,
-        serial: USART2,
-        serial_dma_tx: DMA1_CH6,
-        serial_dma_rx: DMA1_CH5,
-        watchdog: IWDG,
+        serial: USART3,
+        serial_dma_tx: DMA1_CH3,
+        serial_dma_rx: DMA1_CH1,
+        line: USART2,
+        line_dma_tx: DMA1_CH6,
+        line_dma_rx: DMA1_CH5,
         flash: FLASH,
     }
 }
@@ -142,8 +157,17 @@ bind_interrupts!(struct Irqs {
     DMA2_STREAM0 => dma::InterruptHandler<peripherals::DMA2_CH0>;
     DMA1_STREAM7 => dma::InterruptHandler<peripherals::DMA1_CH7>;
     DMA1_STREAM0 => dma::InterruptHandler<peripherals::DMA1_CH0>;
+    #[cfg(not(feature = "usart2"))]
+    DMA1_STREAM3 => dma::InterruptHandler<peripherals::DMA1_CH3>;
+    #[cfg(not(feature = "usart2"))]
+    DMA1_STREAM1 => dma::InterruptHandler<peripherals::DMA1_CH1>;
+    #[cfg(not(feature = "usart2"))]
+    USART3 => usart::InterruptHandler<peripherals::USART3>;
+    #[cfg(feature = "usart2")]
     DMA1_STREAM6 => dma::InterruptHandler<peripherals::DMA1_CH6>;
+    #[cfg(feature = "usart2")]
     DMA1_STREAM5 => dma::InterruptHandler<peripherals::DMA1_CH5>;
+    #[cfg(feature = "usart2")]
     USART2 => usart::InterruptHandler<peripherals::USART2>;
     FLASH => flash::InterruptHandler;
 });
@@ -159,6 +183,8 @@ pub type SettingsFlash = Bank2Region1<'static, flash::Async>;
 pub struct Board {
     /// Why it came up.
     pub reset_cause: ResetCause,
+    /// What its clock goes by.
+    pub clock: ClockSource,
     /// The IMU's bus.
     pub imu: Device,
     /// The IMU's data-ready.
@@ -175,16 +201,26 @@ pub struct Board {
     pub serial_tx: SerialTx,
     /// The serial port: commands in.
     pub serial_rx: SerialRx,
-    /// The watchdog, not started yet.
+    /// The watchdog, which runs.
     pub watchdog: Iwdg,
     /// The flash of the settings.
     pub settings: SettingsFlash,
+    /// What it is written by.
+    pub supply: Vdd,
 }
 
 impl Board {
-    /// Starts the clocks and takes the board's resources. Once: a second call panics.
+    /// Starts watchdog and clocks and takes the board's resources. Once: a second call panics.
     pub fn start() -> Self {
-        let (pins, units) = split(embassy_stm32::init(config()));
+        // First: what hangs from here on ends in a reset.
+        let watchdog = Iwdg::start();
+        let clock = clock_source();
+        let (pins, units) = split(embassy_stm32::init(config(clock)));
+        if clock == ClockSource::Crystal {
+            // A clock that stops later takes the outputs of TIM1 away, and ends in an interrupt that nothing serves: a
+            // reset, and a start by the chip's own.
+            pac::RCC.cr().modify(|w| w.set_csson(true));
+        }
         fast_flash();
         priorities();
 
@@ -243,7 +279,8 @@ impl Board {
         port.baudrate = BAUD;
         // Open, the line would take the PWM beside it for characters.
         port.rx_pull = Pull::Up;
-        let Ok(serial) = Uart::new(
+        #[cfg(not(feature = "usart2"))]
+        let serial = Uart::new(
             units.serial,
             pins.serial_rx,
             pins.serial_tx,
@@ -251,13 +288,25 @@ impl Board {
             units.serial_dma_rx,
             Irqs,
             port,
-        ) else {
+        );
+        #[cfg(feature = "usart2")]
+        let serial = Uart::new(
+            units.line,
+            pins.line_rx,
+            pins.line_tx,
+            units.line_dma_tx,
+            units.line_dma_rx,
+            Irqs,
+            port,
+        );
+        let Ok(serial) = serial else {
             defmt::panic!("{} baud cannot be had from APB1", BAUD)
         };
         let (serial_tx, serial_rx) = serial.split();
 
         Self {
             reset_cause: reset_cause(),
+            clock,
             imu: Device::new(imu_spi, Output::new(pins.imu_select, Level::High, Speed::VeryHigh)),
             imu_ready: DataReady::new(ExtiInput::new_blocking(
                 pins.imu_ready,
@@ -277,21 +326,48 @@ impl Board {
             },
             serial_tx,
             serial_rx: serial_rx.into_ring_buffered(RECEIVED.init([0; RECEIVE])),
-            watchdog: Iwdg(IndependentWatchdog::new(units.watchdog, WATCHDOG_US)),
+            watchdog,
             settings: Flash::new(units.flash, Irqs).into_regions().bank2_region1,
+            supply: Vdd::watched(),
         }
     }
 }
 
-fn config() -> Config {
+/// Waits for the clock from outside, and no longer than [`CLOCK_WAIT_MS`]: the HAL would wait for ever for one that does
+/// not come, as without the debugger's half of the board.
+fn clock_source() -> ClockSource {
+    // The bypass can only be set while the oscillator is off.
+    pac::RCC.cr().modify(|w| w.set_hsebyp(true));
+    pac::RCC.cr().modify(|w| w.set_hseon(true));
+    for _ in 0..CLOCK_WAIT_MS * 1000 / CLOCK_LOOK_US {
+        if pac::RCC.cr().read().hserdy() {
+            return ClockSource::Crystal;
+        }
+        cortex_m::asm::delay(RESET_HZ / 1_000_000 * CLOCK_LOOK_US);
+    }
+    pac::RCC.cr().modify(|w| w.set_hseon(false));
+    ClockSource::Internal
+}
+
+fn config(clock: ClockSource) -> Config {
     let mut config = Config::default();
-    config.rcc.hse = Some(Hse {
-        freq: Hertz(8_000_000),
-        mode: HseMode::Bypass,
-    });
-    config.rcc.pll_src = PllSource::HSE;
+    // 2 MHz into the PLL from either.
+    let prediv = match clock {
+        ClockSource::Crystal => {
+            config.rcc.hse = Some(Hse {
+                freq: Hertz(8_000_000),
+                mode: HseMode::Bypass,
+            });
+            config.rcc.pll_src = PllSource::HSE;
+            PllPreDiv::DIV4
+        }
+        ClockSource::Internal => {
+            config.rcc.pll_src = PllSource::HSI;
+            PllPreDiv::DIV8
+        }
+    };
     config.rcc.pll = Some(Pll {
-        prediv: PllPreDiv::DIV4,
+        prediv,
         mul: PllMul::MUL168,
         divp: Some(PllPDiv::DIV2),
         divq: Some(PllQDiv::DIV7),
@@ -326,6 +402,7 @@ fn hold_low(pin: Peri<'static, pin::held_low>) {
 fn priorities() {
     interrupt::EXTI0.set_priority(Priority::P0);
     interrupt::TIM5.set_priority(Priority::P2);
+    interrupt::USART3.set_priority(Priority::P2);
     interrupt::USART2.set_priority(Priority::P2);
     interrupt::FLASH.set_priority(Priority::P2);
     interrupt::UART7.set_priority(Priority::P6);
@@ -593,17 +670,53 @@ impl SpiDevice for Device {
 pub struct Iwdg(IndependentWatchdog<'static, peripherals::IWDG>);
 
 impl Iwdg {
-    /// Starts it; from here on it is fed or it bites.
-    pub fn start(&mut self) {
+    /// Starts it; from here on it is fed or it bites. Before the HAL is up, which may wait without end for a clock.
+    fn start() -> Self {
         // A breakpoint is no fault.
         pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
-        self.0.unleash();
+        // SAFETY: nobody else names this peripheral, see `resources`; the HAL hands it out later and does not touch it.
+        let peripheral = unsafe { peripherals::IWDG::steal() };
+        let mut watchdog = IndependentWatchdog::new(peripheral, WATCHDOG_US);
+        watchdog.unleash();
+        Self(watchdog)
     }
 }
 
 impl Watchdog for Iwdg {
     fn feed(&mut self) {
         self.0.pet();
+    }
+}
+
+// ---------------------------------------------------------------------------------------------- supply
+
+/// PLS of the voltage detector: it falls at 2.84 V and rises at 2.93, typically.
+const DETECT: u8 = 5;
+/// BOR_LEV of brown-out level 3, the one above 2.7 V.
+const BROWN_OUT_LEVEL_3: u8 = 0;
+
+/// The part's supply, watched by its voltage detector.
+///
+/// The HAL programs words of 32 bits, which takes 2.7 V at least (RM0090, 3.6.2); it erases by bytes, which takes 1.8.
+pub struct Vdd(());
+
+impl Vdd {
+    fn watched() -> Self {
+        pac::PWR.cr1().modify(|w| {
+            w.set_pls(DETECT);
+            w.set_pvde(true);
+        });
+        Self(())
+    }
+}
+
+impl Supply for Vdd {
+    fn is_enough(&mut self) -> bool {
+        !pac::PWR.csr1().read().pvdo()
+    }
+
+    fn is_guarded(&self) -> bool {
+        pac::FLASH.optcr().read().bor_lev() == BROWN_OUT_LEVEL_3
     }
 }
 

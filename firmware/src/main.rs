@@ -27,6 +27,6 @@ const VERSION: &str = env!("ROTARY_NORTH_VERSION");
 async fn main(spawner: Spawner) {
     let board = Board::start();
     let blackbox = BlackBox::start(BlackBoxRam, board.reset_cause, Instant::now().as_micros());
-    app::log::started(VERSION, blackbox.started());
+    app::log::started(VERSION, blackbox.started(), board.clock);
     tasks::start(spawner, board, blackbox).await;
 }

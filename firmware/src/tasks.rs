@@ -32,7 +32,7 @@ use nav::aligner::{Aligner, AlignerConfig};
 use static_cell::StaticCell;
 
 use crate::board::{
-    self, BlackBoxRam, Board, Bridge, DataReady, Device, Iwdg, MotorCutoff, SerialRx, SerialTx, SettingsFlash,
+    self, BlackBoxRam, Board, Bridge, DataReady, Device, Iwdg, MotorCutoff, SerialRx, SerialTx, SettingsFlash, Vdd,
 };
 use crate::params;
 
@@ -53,11 +53,13 @@ static ROTOR: StaticCell<Rotor> = StaticCell::new();
 static ALIGNER: StaticCell<Aligner> = StaticCell::new();
 
 /// Starts every task. Panics where the parameters are refused: nothing has moved then.
-pub async fn start(spawner: Spawner, mut board: Board, blackbox: BlackBox<BlackBoxRam>) {
+pub async fn start(spawner: Spawner, board: Board, blackbox: BlackBox<BlackBoxRam>) {
     let mut store = Store::new(board.settings);
     let (settings, report) = store.load_over(params::factory()).await;
     app::log::settings(&report);
+    app::log::supply(&board.supply);
     let shared = shared(settings);
+    shared.set_clock(board.clock);
     let aligning = settings.aligner(params::filter());
     let aligner = aligner(aligning);
     let encoder = MagneticEncoder {
@@ -71,7 +73,6 @@ pub async fn start(spawner: Spawner, mut board: Board, blackbox: BlackBox<BlackB
     };
     let imu = Imu::new(board.imu, Delay);
 
-    board.watchdog.start();
     let (Ok(motor), Ok(sampling), Ok(alignment), Ok(supervisor), Ok(output), Ok(console), Ok(report)) = (
         motor(shared, encoder, drive, rotor(&settings), settings.encoder.correction),
         sampling(shared, imu, board.imu_ready),
@@ -82,7 +83,7 @@ pub async fn start(spawner: Spawner, mut board: Board, blackbox: BlackBox<BlackB
         ),
         supervisor(shared, board.watchdog, blackbox),
         output(shared, board.serial_tx, settings.output),
-        console(shared, board.serial_rx, store),
+        console(shared, board.serial_rx, store, board.supply),
         self::report(shared),
     ) else {
         defmt::unreachable!("each task is spawned once")
@@ -154,8 +155,8 @@ async fn output(shared: &'static Bus, tx: SerialTx, config: OutputConfig) -> ! {
 }
 
 #[embassy_executor::task]
-async fn console(shared: &'static Bus, rx: SerialRx, store: Store<SettingsFlash>) -> ! {
-    console::run(shared, &PORT, rx, store, BlackBoxRam).await
+async fn console(shared: &'static Bus, rx: SerialRx, store: Store<SettingsFlash>, supply: Vdd) -> ! {
+    console::run(shared, &PORT, rx, store, BlackBoxRam, supply).await
 }
 
 #[embassy_executor::task]

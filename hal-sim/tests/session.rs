@@ -4,13 +4,14 @@
 #[path = "common/answer.rs"]
 mod answer;
 
+use app::hal::{ClockSource, ResetCause};
 use app::nmea::Talker;
 use frames::units::{DEG, DEG_PER_HOUR, PPM};
 use hal_sim::align::Method;
 use hal_sim::bus::UartLine;
 use hal_sim::scenario::Scenario;
 use hal_sim::sensors::Imu;
-use hal_sim::unit_sim::{self, Observer, Typed, UnitResult};
+use hal_sim::unit_sim::{self, Line, Observer, RobustSession, Supplied, Typed, UnitResult};
 
 /// Answers of the unit, in order.
 #[derive(Default)]
@@ -308,4 +309,122 @@ fn nonsense_is_answered() {
     assert_eq!(result.state, "coarse");
     let (quiet, _) = session(&scenario, 2, 30.0, &[]);
     assert_eq!(result.settings, quiet.settings);
+}
+
+/// Every sentence as it comes.
+#[derive(Default)]
+struct Sentences(Vec<String>);
+
+impl Observer for Sentences {
+    fn sentence(&mut self, line: &UartLine) {
+        self.0.push(String::from_utf8_lossy(&line.bytes).into_owned());
+    }
+}
+
+/// The scenario aligns in two minutes; by the chip's own clock the filter does as well, and the unit does not stand by it.
+#[test]
+fn by_the_chips_own_clock_no_heading_is_valid() {
+    let scenario = Scenario::builtin("static").unwrap();
+    let run = |clock| {
+        let mut unit = RobustSession::new(&scenario, 1, Method::Robust, &[]).unwrap();
+        let mut heard = Sentences::default();
+        unit.set_clock(clock);
+        unit.reset(ResetCause::PowerOn, &mut ()).unwrap();
+        unit.run_until_us(200_000_000, &mut heard).unwrap();
+        (unit.result().state, heard.0)
+    };
+    let count = |heard: &[String], with: &str| heard.iter().filter(|text| text.contains(with)).count();
+
+    let (state, heard) = run(ClockSource::Crystal);
+    assert_eq!(state, "aligned");
+    assert!(count(&heard, ",A*") > 100 && count(&heard, ",clock,") == 0);
+
+    let (state, heard) = run(ClockSource::Internal);
+    assert_eq!(state, "fine");
+    let headings: Vec<_> = heard.iter().filter(|text| text.starts_with("$HETHS,")).collect();
+    assert!(headings.len() > 1900);
+    assert!(headings.iter().all(|text| text.starts_with("$HETHS,,V*")));
+    assert_eq!(count(&heard, "$HEHDT"), 0);
+    let statuses = count(&heard, "$PRNST,");
+    assert!(statuses > 190 && count(&heard, ",,clock,,,") == statuses, "{statuses}");
+}
+
+/// What is not saved on a low supply is saved once it is there.
+#[test]
+fn nothing_is_saved_on_a_low_supply() {
+    let scenario = Scenario::builtin("static").unwrap();
+    let mut unit = RobustSession::new(&scenario, 1, Method::Robust, &[]).unwrap();
+    let mut answers = Answers::default();
+    let low = Supplied {
+        low: true,
+        unguarded: true,
+    };
+    for (at_s, supply, line) in [
+        (2, low, "set latitude 41"),
+        (3, low, "save"),
+        (4, Supplied::default(), "save"),
+    ] {
+        unit.run_until_us(at_s * 1_000_000, &mut answers).unwrap();
+        unit.set_supply(supply);
+        unit.send(format!("{line}\r\n").as_bytes());
+    }
+    unit.run_until_us(6_000_000, &mut answers).unwrap();
+    assert_eq!(
+        answers.0,
+        [
+            "ok,set - align takes it up and save keeps it",
+            "error,not saved: the supply is below 2.8 V",
+            "ok,saved",
+        ]
+    );
+}
+
+/// A level that cuts off no save is told at the start.
+#[test]
+fn a_brown_out_level_that_is_too_low_is_told() {
+    struct Lines(Vec<String>);
+    impl Observer for Lines {
+        fn line(&mut self, line: &Line) {
+            self.0.push(line.text.clone());
+        }
+    }
+    for unguarded in [false, true] {
+        let mut unit = RobustSession::new(&Scenario::builtin("static").unwrap(), 1, Method::Robust, &[]).unwrap();
+        unit.set_supply(Supplied { low: false, unguarded });
+        let mut lines = Lines(Vec::new());
+        unit.run_until_us(100_000, &mut lines).unwrap();
+        lines.0.clear();
+        unit.reset(ResetCause::PowerOn, &mut lines).unwrap();
+        unit.run_until_us(200_000, &mut lines).unwrap();
+        let told = lines
+            .0
+            .iter()
+            .any(|line| line.starts_with("settings: the brown-out level is below 2.7 V"));
+        assert_eq!(told, unguarded, "{:?}", lines.0);
+    }
+}
+
+/// Whatever DATA_CNT counts, lost samples are known by their number, and no fault comes of it.
+#[test]
+fn either_count_of_the_imu_tells_what_is_lost() {
+    let mut scenario = Scenario::builtin("static").unwrap();
+    scenario.buses.edge_loss = 0.02;
+    let lost = [false, true].map(|base_samples| {
+        let mut unit = RobustSession::new(&scenario, 4, Method::Robust, &[]).unwrap();
+        if base_samples {
+            unit.count_base_samples();
+        }
+        unit.run_until_us(90_000_000, &mut ()).unwrap();
+        let result = unit.result();
+        assert!(result.faults.is_empty(), "{:?}", result.faults);
+        assert_ne!(result.state, "coarse");
+        assert_eq!(u64::from(result.samples.lost), result.samples.edges_lost);
+        assert!(
+            result.samples.lost > 200 && result.samples.repeated == 0,
+            "{:?}",
+            result.samples
+        );
+        result.samples
+    });
+    assert_eq!(lost[0], lost[1]);
 }

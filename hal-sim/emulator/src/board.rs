@@ -20,6 +20,8 @@ pub const CORE_HZ: u64 = 168_000_000;
 pub const INSTRUCTIONS_PER_SECOND: u64 = 110_000_000;
 /// Crystal, or the clock that the debugger's controller puts in its place, Hz.
 pub const CRYSTAL_HZ: u64 = 8_000_000;
+/// Supply of the part, mV.
+pub const SUPPLY_MV: u32 = 3300;
 /// Clock of the IMU's bus, Hz.
 pub const IMU_HZ: u32 = 5_250_000;
 
@@ -31,7 +33,7 @@ pub(crate) const IMU_SPI: usize = 1;
 /// The encoder's SPI.
 pub(crate) const ENCODER_SPI: usize = 3;
 /// The serial port's USART.
-pub(crate) const SERIAL: usize = 2;
+pub(crate) const SERIAL: usize = 3;
 pub(crate) const IMU_SELECT: Pin = Pin::new('A', 4);
 pub(crate) const ENCODER_SELECT: Pin = Pin::new('A', 15);
 pub(crate) const IMU_READY: Pin = Pin::new('C', 0);
@@ -54,7 +56,15 @@ impl Board {
     /// # Errors
     /// Where the part does not assemble.
     pub fn new(timer: BridgeTimer) -> Result<Self, Error> {
-        let part = Part::new(CRYSTAL_HZ, timer)?;
+        Self::on(CRYSTAL_HZ, SUPPLY_MV, timer)
+    }
+
+    /// The same with another clock input, Hz, zero for one that stands still, and another supply, mV.
+    ///
+    /// # Errors
+    /// Where the part does not assemble.
+    pub fn on(hse_hz: u64, supply_mv: u32, timer: BridgeTimer) -> Result<Self, Error> {
+        let part = Part::new(hse_hz, supply_mv, timer)?;
         let map = MemoryMap::of(part.bus())?;
         Ok(Self { part, map })
     }

@@ -4,7 +4,7 @@
 //!            ┌────────────── part (rigless): the ELF, executed ──────────────┐
 //!  ADIS16495 ┤ SPI1, EXTI0                                  TIM1, PF15, PE15 ├ bridge ─► plant ─► rotor angle
 //!  MT6835    ┤ SPI3                                              PF13, PF14 ├ home switch         │
-//!  listener  ┤ USART2                                                        │                     │
+//!  listener  ┤ USART3                                                        │                     │
 //!            └───────────────────────────────────────────────────────────────┘      truth ─► exposure ─► ADIS16495
 //! ```
 //!
@@ -110,6 +110,10 @@ pub struct Setup {
     pub flash: Option<Vec<u8>>,
     /// What drives the bridge's timer.
     pub timer: BridgeTimer,
+    /// The clock that comes in from the debugger's controller, Hz; zero for none.
+    pub clock_hz: u64,
+    /// Supply of the part, mV.
+    pub supply_mv: u32,
 }
 
 impl Setup {
@@ -123,6 +127,8 @@ impl Setup {
             typed: Vec::new(),
             flash: None,
             timer: BridgeTimer::default(),
+            clock_hz: board::CRYSTAL_HZ,
+            supply_mv: board::SUPPLY_MV,
         }
     }
 }
@@ -151,7 +157,7 @@ impl Observer for () {}
 pub fn run<O: Observer>(image: &Image, setup: &Setup, observer: O) -> Result<(Outcome, O), Error> {
     let stack = Stack::of(image)?;
     let world = World::new(image, setup, stack, observer)?;
-    let mut board = Board::new(setup.timer)?;
+    let mut board = Board::on(setup.clock_hz, setup.supply_mv, setup.timer)?;
     world.populate(&mut board);
     let session = Session::new(Box::new(board), 0, VirtualNanos(STEP_NS))?;
     let mut images = vec![image.file.clone(), stack.paint()?];

@@ -273,6 +273,81 @@ fn a_fault_switches_the_motor_off() {
     }
 }
 
+/// Without the debugger's half of the board: the unit starts all the same, says so, and stands by no heading.
+#[test]
+fn without_a_clock_from_outside_the_unit_starts_by_its_own() {
+    let setup = Setup {
+        clock_hz: 0,
+        typed: [(14.0, "status"), (24.0, "stop"), (25.0, "calibrate")]
+            .map(|(at_s, text)| Typed {
+                at_s,
+                text: text.to_owned(),
+            })
+            .to_vec(),
+        ..Setup::new(paper(), 1, 26.0)
+    };
+    let (outcome, kept) = run(&setup);
+    inspects_to(&outcome, &kept);
+    assert!(outcome.resets.is_empty() && outcome.faults.is_empty(), "{outcome:?}");
+    let modes: Vec<&str> = outcome.modes.iter().map(|at| at.mode).collect();
+    assert_eq!(modes, ["self-test", "homing", "coarse", "idle"]);
+    // 0.1 s later than with a clock, at the most.
+    assert!(outcome.modes[0].t_s < 0.2, "{:?}", outcome.modes);
+    let told = kept.lines.iter().filter(|line| line.contains("clock: nothing came in"));
+    assert_eq!(told.count(), 1, "{:?}", kept.lines);
+    let statuses = kept.sentences.iter().filter(|text| text.starts_with("$PRNST,"));
+    assert!(statuses.clone().count() > 20);
+    for status in statuses {
+        assert_eq!(status.split(',').nth(5), Some("clock"), "{status}");
+    }
+    assert!(
+        kept.sentences
+            .iter()
+            .any(|text| text.starts_with("$PRNSA,error,not by the chip's own clock*"))
+    );
+
+    let (with, kept) = run(&Setup::new(paper(), 1, 1.0));
+    assert!(with.modes[0].t_s < 0.05, "{:?}", with.modes);
+    assert!(kept.lines.iter().all(|line| !line.contains("clock:")));
+}
+
+/// At 2.75 V the part runs, but is not written: words of 32 bits take 2.7, and the supply may fall on the way.
+#[test]
+fn flash_is_not_written_on_a_low_supply() {
+    let stored = vec![0xFF; 64 * 1024];
+    let run_on = |supply_mv| {
+        let setup = Setup {
+            supply_mv,
+            flash: Some(stored.clone()),
+            typed: [(0.5, "set latitude 41"), (0.7, "save")]
+                .map(|(at_s, text)| Typed {
+                    at_s,
+                    text: text.to_owned(),
+                })
+                .to_vec(),
+            ..Setup::new(paper(), 1, 2.0)
+        };
+        let (outcome, kept) = run(&setup);
+        let answers = kept.sentences.iter().filter(|text| text.starts_with("$PRNSA,"));
+        // Option bytes as delivered: brown-out off.
+        let told = kept
+            .lines
+            .iter()
+            .filter(|line| line.contains("settings: the brown-out level"));
+        assert_eq!(told.count(), 1, "{:?}", kept.lines);
+        (outcome.flash == stored, answers.last().cloned().unwrap_or_default())
+    };
+    let (untouched, answer) = run_on(2750);
+    assert!(
+        answer.starts_with("$PRNSA,error,not saved: the supply is below 2.8 V*"),
+        "{answer}"
+    );
+    assert!(untouched);
+    let (untouched, answer) = run_on(3300);
+    assert!(answer.starts_with("$PRNSA,ok,saved*"), "{answer}");
+    assert!(!untouched);
+}
+
 /// A core that stands still is reset by the watchdog, and the unit comes up again.
 #[test]
 fn a_hang_ends_with_the_watchdog() {

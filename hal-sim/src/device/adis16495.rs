@@ -8,13 +8,15 @@
 
 use drivers::adis16495::{
     BASE_RATE_HZ, BURST_COMMAND, BURST_ID, BURST_MAX_HZ, BURST_WORDS, FORCE_PER_COUNT, FORCE_RANGE_COUNTS, POWER_UP_MS,
-    PRODUCT, RANGE_125_DPS, RATE_PER_COUNT, RATE_RANGE_COUNTS, RESET_MS, Register, SELF_TEST_MS, STALL_NS,
+    PRODUCT, RANGE_125_DPS, RATE_PER_COUNT, RATE_RANGE_COUNTS, RESET_MS, Register, SELF_TEST_MS,
     TEMPERATURE_PER_COUNT_C, TEMPERATURE_ZERO_C, TWO_IDS_ABOVE_HZ, WRITE, burst_crc, command, function, register,
 };
 use drivers::{Channels, SystemFlags};
 
 use super::{ImuFaults, Motion, SampleClock, SensorModel, SpiTarget, quantise};
 
+/// Pause that the part wants between two frames, ns: its own figure, whatever the driver's is.
+const STALL_NS: u64 = 5_000;
 /// Pages of settings kept; page 3 is the one in use.
 const SETTINGS_PAGE: u8 = 3;
 /// Serial number of the model.
@@ -27,6 +29,8 @@ const REVISION: u16 = 0x0100;
 pub struct Adis16495 {
     /// Faults to inject.
     pub faults: ImuFaults,
+    /// DATA_CNT counts base samples, DEC_RATE + 1 for one that is put out, and not those. Which a part does is not known.
+    pub counts_base_samples: bool,
     clock_hz: u32,
     page: u8,
     reply: u16,
@@ -53,6 +57,7 @@ impl Adis16495 {
     pub fn new(now_us: u64, clock_hz: u32) -> Self {
         let mut part = Self {
             faults: ImuFaults::default(),
+            counts_base_samples: false,
             clock_hz: clock_hz.max(1),
             page: 0,
             reply: 0,
@@ -133,7 +138,12 @@ impl Adis16495 {
             ) as u16;
         }
         if !self.faults.stuck_counter {
-            self.counter = self.counter.wrapping_add(1);
+            let gains = if self.counts_base_samples {
+                *self.setting(register::DEC_RATE) + 1
+            } else {
+                1
+            };
+            self.counter = self.counter.wrapping_add(gains);
         }
         self.flags |= self.faults.flags;
         if self.faults.missed_edges > 0 {
@@ -249,7 +259,7 @@ impl SpiTarget for Adis16495 {
         miso.fill(0);
         let start_ns = now_us * 1000;
         // The caller's clock is cut to whole microseconds: give it one.
-        let early = start_ns + 1000 < self.frame_end_ns + u64::from(STALL_NS);
+        let early = start_ns + 1000 < self.frame_end_ns + STALL_NS;
         self.frame_end_ns = start_ns + mosi.len() as u64 * 8_000_000_000 / u64::from(self.clock_hz);
         if now_us < self.ready_from_us {
             // Not alive yet: hears nothing.

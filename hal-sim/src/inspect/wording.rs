@@ -26,6 +26,8 @@ const ROTOR: &str = "rotor";
 
 /// Before what of the settings is not as stored.
 const SETTINGS: &str = "settings: ";
+/// Before what is wrong with the clock.
+const CLOCK: &str = "clock: ";
 /// Before the version.
 const VERSION: &str = "rotary-north ";
 
@@ -178,7 +180,7 @@ impl Wording {
         if text.starts_with(VERSION) {
             return Some(Told::Version);
         }
-        if text.starts_with(SETTINGS) {
+        if text.starts_with(SETTINGS) || text.starts_with(CLOCK) {
             return Some(Told::Note);
         }
         if let Some(attitude) = estimate(&text) {

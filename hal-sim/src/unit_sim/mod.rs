@@ -34,7 +34,7 @@ use app::blackbox::BlackBox;
 use app::command::ModeName;
 use app::console;
 use app::fault::{Fault, Task};
-use app::hal::{ChangeOver, Edge, EdgeCapture, MagneticEncoder, ResetCause};
+use app::hal::{ChangeOver, ClockSource, Edge, EdgeCapture, MagneticEncoder, ResetCause, Supply};
 use app::mode::Status;
 use app::motor::{self, Drive};
 use app::output::{self, Port};
@@ -330,6 +330,28 @@ struct Record {
     estimates: Vec<Navigation>,
 }
 
+/// The supply of the unit's part. The default is a sound one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Supplied {
+    /// Too low to write flash.
+    pub low: bool,
+    /// The brown-out level is too low to cut off a save.
+    pub unguarded: bool,
+}
+
+/// It, in the unit's hands.
+struct Rail(Rc<Cell<Supplied>>);
+
+impl Supply for Rail {
+    fn is_enough(&mut self) -> bool {
+        !self.0.get().low
+    }
+
+    fn is_guarded(&self) -> bool {
+        !self.0.get().unguarded
+    }
+}
+
 /// Data-ready with its stamp, as an EXTI interrupt gives it.
 struct Ready {
     input: Input,
@@ -381,6 +403,10 @@ struct Bench<const B: usize> {
     outbox: Rc<Outbox>,
     /// Hangs from the start on.
     hangs_at_start: Cell<Option<Task>>,
+    /// Whether the supply is too low to write flash, and whether a brown-out level would cut off a save.
+    supply: Rc<Cell<Supplied>>,
+    /// What the board says its clock goes by.
+    clock: Cell<ClockSource>,
     /// What the unit was built with: holds where its flash says nothing else.
     factory: Settings,
     typed: Vec<Typed>,
@@ -568,6 +594,8 @@ fn bench<const B: usize>(
         ram: Ram::garbage(seed),
         outbox: Rc::default(),
         hangs_at_start: Cell::default(),
+        supply: Rc::default(),
+        clock: Cell::default(),
         factory,
         typed,
         reset: Rc::default(),
@@ -690,12 +718,14 @@ impl<const B: usize> Breakable for Rc<Bench<B>> {
 fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>, cause: ResetCause) -> Result<(), UnitError> {
     let blackbox = BlackBox::start(bench.ram.clone(), cause, now_ns() / 1000);
     // As the image's main does.
-    app::log::started(VERSION, blackbox.started());
+    app::log::started(VERSION, blackbox.started(), bench.clock.get());
     let mut store = Store::new(bench.flash.clone());
     // Reading takes the part no time.
     let (settings, report) = embassy_futures::block_on(store.load_over(bench.factory));
     app::log::settings(&report);
+    app::log::supply(&Rail(Rc::clone(&bench.supply)));
     let shared = Rc::new(Bus::new(VERSION, settings));
+    shared.set_clock(bench.clock.get());
     *bench.shared.borrow_mut() = Rc::clone(&shared);
     let timing = |hz| SpiTiming {
         latency_ns: DMA_LATENCY_NS,
@@ -796,9 +826,9 @@ fn serial<const B: usize>(
         async move { output::run(&s, &p, tx, config).await },
     );
     output.set_cost(Duration::from_micros(50));
-    let ram = bench.ram.clone();
+    let (ram, rail) = (bench.ram.clone(), Rail(Rc::clone(&bench.supply)));
     let console = executor.spawn("console", Level::Thread, async move {
-        console::run(&shared, &port, rx, store, ram).await
+        console::run(&shared, &port, rx, store, ram, rail).await
     });
     console.set_cost(Duration::from_micros(20));
 

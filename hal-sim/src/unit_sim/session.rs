@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use app::blackbox::{self, Entry, Memory, SLOTS, Slot};
 use app::fault::Task;
-use app::hal::{Cutoff as _, ResetCause};
+use app::hal::{ClockSource, Cutoff as _, ResetCause};
 use app::mode::Status;
 use app::shared::SampleCounts;
 use embassy_sync::signal::Signal;
@@ -17,8 +17,8 @@ use vtime::{Executor, Level, LocalRawMutex, now_ns, sleep_until_ns};
 
 use super::record::Recording;
 use super::{
-    Bench, Core, Line, Observer, Samples, Typed, UnitError, UnitMoment, UnitResult, bench, boot, fault, moment,
-    spawn_world,
+    Bench, Core, Line, Observer, Samples, Supplied, Typed, UnitError, UnitMoment, UnitResult, bench, boot, fault,
+    moment, spawn_world,
 };
 use crate::align::Method;
 use crate::bus::{SpiFaults, UartFaults};
@@ -228,6 +228,22 @@ impl<const B: usize> Session<B> {
     /// Lets a task hang from every start on, or none.
     pub fn hang_at_start(&mut self, task: Option<Task>) {
         self.bench.hangs_at_start.set(task);
+    }
+
+    /// What the unit is told that its clock goes by, from the next start on. The clock itself stays as it is.
+    pub fn set_clock(&mut self, clock: ClockSource) {
+        self.bench.clock.set(clock);
+    }
+
+    /// Changes the supply of the unit's part. The log tells of a level that guards nothing at the next start.
+    pub fn set_supply(&mut self, supply: Supplied) {
+        self.bench.supply.set(supply);
+    }
+
+    /// Lets the IMU's counter count its base samples from now on, see
+    /// [`counts_base_samples`](crate::device::Adis16495::counts_base_samples).
+    pub fn count_base_samples(&mut self) {
+        self.bench.imu.with(|model| model.counts_base_samples = true);
     }
 
     /// So many transfers with the IMU and the encoder end in a bus error.

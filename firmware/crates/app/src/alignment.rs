@@ -732,4 +732,53 @@ mod tests {
             assert!((corrected.dtheta_s.x() / 0.005 + bias).abs() < 1e-9, "{calibration:?}");
         }
     }
+
+    /// Gyros with `times` the noise that the calibration is told, on a base at rest; 60 blocks of a second tell their
+    /// variance to 18 %, and the worst of three axes counts.
+    fn rests(times: f32, seed: u64) -> Result<(), CalibrationError> {
+        let config = CalibrationConfig::<f32> {
+            w_ie_b: Some(Vec3::zero()),
+            ..CalibrationConfig::default()
+        };
+        let dt = 0.02;
+        let sd = times * config.angle_random_walk * math::sqrt(dt);
+        let mut calibrator = Calibrator::new(config).unwrap();
+        let mut state = seed;
+        // Twelve numbers of a generator (Knuth's) have the variance of one.
+        let mut normal = || {
+            let sum: f32 = (0..12)
+                .map(|_| {
+                    state = state
+                        .wrapping_mul(6_364_136_223_846_793_005)
+                        .wrapping_add(1_442_695_040_888_963_407);
+                    (state >> 40) as f32 / 16_777_216.0 - 0.5
+                })
+                .sum();
+            sd * sum
+        };
+        let mut sample = || Sample {
+            dtheta_s: Vec3::new(normal(), normal(), normal()),
+            dv_s: Vec3::new(0.0, 0.0, 9.8 * dt),
+            dt,
+            gap: 0.0,
+        };
+        for _ in 0..=3000 {
+            calibrator.rest(&sample(), 0.0)?;
+        }
+        // The first of the turn ends the rest, and judges it.
+        calibrator.turn(&sample(), 0.0)
+    }
+
+    /// Three times the noise, nine times its variance, is where the base is said to move.
+    #[test]
+    fn a_base_moves_from_three_times_the_noise_on() {
+        for seed in 1..=20 {
+            assert_eq!(rests(1.0, seed), Ok(()));
+            assert_eq!(rests(2.0, seed), Ok(()));
+            let Err(CalibrationError::BaseMoved { scatter }) = rests(4.0, seed) else {
+                panic!("seed {seed}: no matter that it moves");
+            };
+            assert!((9.0..30.0).contains(&scatter), "{scatter}");
+        }
+    }
 }

@@ -7,6 +7,9 @@
 //! | [`HomeSwitch`] | [`ChangeOver`] of two inputs | the same |
 //! | [`Cutoff`] | MOE of TIM1 and the bridge's enable line, by register | the plant's bridge |
 //! | [`Watchdog`] | IWDG | a counter |
+//! | [`Supply`] | PVD and the option bytes' brown-out level | as told |
+//!
+//! What its clock goes by, the board tells by [`ClockSource`].
 //!
 //! The bridge itself is a [`drivers::motor::MotorDriver`] and a [`drivers::motor::ThreePhase`].
 
@@ -130,6 +133,54 @@ pub trait Cutoff {
 pub trait Watchdog {
     /// Puts the reset off once more.
     fn feed(&mut self);
+}
+
+/// The part's supply, in the eyes of who writes its flash.
+///
+/// Below 2.7 V words of 32 bits are not programmed for sure: they may read as they should at once and not later, which no
+/// check sum at the time of the save can see.
+pub trait Supply {
+    /// Whether it is enough, now.
+    fn is_enough(&mut self) -> bool;
+
+    /// Whether a supply that falls while flash is written ends in a reset before it is too low: a save that is cut off
+    /// is told from a whole one, see [`Store`](crate::settings::Store).
+    fn is_guarded(&self) -> bool;
+}
+
+/// What the unit's clock goes by.
+///
+/// The length of every sample is measured by that clock: gyro angles are wrong by as much as it is. Rates are not, and Earth's
+/// rate is found by rates; but the rotor's angle by the encoder is held against the gyros', and 1 % of a turn is 3.6°.
+/// The filter takes scale factors for known to some hundred ppm, and what it makes of ten times as much was not measured.
+/// So a unit that goes by the chip's own oscillator does all it can but stand by a heading:
+///
+/// * it is never `aligned`: it stays in `fine`, THS is V, the reason `clock`; it does not navigate;
+/// * it does not calibrate its gyros: the scale factor that it would keep were the clock's;
+/// * the clocks of IMU and unit may differ by more before that is a fault.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ClockSource {
+    /// A crystal, or what another part makes of one: below 100 ppm.
+    #[default]
+    Crystal,
+    /// The chip's own oscillator, because nothing came in from outside.
+    Internal,
+}
+
+impl ClockSource {
+    /// How far it may be off, as a share. Of the internal one: −8 to +4.5 % as delivered, over −40 to 105 °C; 1 % at 25 °C
+    /// (DS9405, HSI characteristics).
+    pub const fn tolerance(self) -> f32 {
+        match self {
+            Self::Crystal => 0.0,
+            Self::Internal => 0.08,
+        }
+    }
+
+    /// Whether a heading may be told that was found by it, see [there](Self).
+    pub const fn is_exact(self) -> bool {
+        matches!(self, Self::Crystal)
+    }
 }
 
 /// Why the unit started.

@@ -14,6 +14,7 @@ use crate::blackbox::Start;
 use crate::command::{Command, ModeName};
 use crate::fault::Fault;
 use crate::figure::{deg, deg_sqrt_h, figure};
+use crate::hal::{ClockSource, Supply};
 use crate::selftest::Found;
 use crate::settings;
 
@@ -29,10 +30,16 @@ macro_rules! line {
     }};
 }
 
-/// The first lines: of which version the program is, and how the unit came up.
-pub fn started(version: &str, start: &Start) {
+/// The first lines: of which version the program is, how the unit came up, and where its clock is not what it should be.
+pub fn started(version: &str, start: &Start, clock: ClockSource) {
     line!(info, "rotary-north {}", version);
     line!(info, "{}", start);
+    if !clock.is_exact() {
+        line!(
+            warn,
+            "clock: nothing came in, the chip's own is off by up to 8 % and no heading is valid: check the clock input, restart"
+        );
+    }
 }
 
 /// A line for each group of settings that is not as it was last saved, and for what says nothing of its group.
@@ -50,6 +57,16 @@ pub fn settings(report: &settings::Report) {
             warn,
             "settings: {} damaged stretches of flash, see what show says: a group whose record was there holds an older value or the default",
             report.damaged
+        );
+    }
+}
+
+/// A line where nothing cuts off a save whose supply falls.
+pub fn supply(supply: &impl Supply) {
+    if !supply.is_guarded() {
+        line!(
+            warn,
+            "settings: the brown-out level is below 2.7 V, a save while the supply falls may be spoilt: set BOR_LEV, see the wiring"
         );
     }
 }

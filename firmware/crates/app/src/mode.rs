@@ -23,6 +23,7 @@ use drivers::{Error, Identity};
 
 use crate::command::{Command, ModeName};
 use crate::fault::{Fault, Response};
+use crate::hal::ClockSource;
 use crate::log::{Alignment, CalibrationEnd, CalibrationFailure, Event, NavigationEnd};
 use crate::rotor;
 use crate::selftest::{Failure, Found};
@@ -246,6 +247,8 @@ pub struct State {
     pub goal: Goal,
     /// Asked to start the program anew.
     pub restarts: bool,
+    /// What the unit's clock goes by.
+    pub clock: ClockSource,
 }
 
 impl Default for State {
@@ -256,6 +259,7 @@ impl Default for State {
             attempts: 0,
             goal: Goal::Align,
             restarts: false,
+            clock: ClockSource::default(),
         }
     }
 }
@@ -267,9 +271,10 @@ fn act(actions: &mut Actions, action: Action) {
 
 impl State {
     /// Before the start; one that is to rest goes no further than the self-test.
-    pub fn new(rests: bool) -> Self {
+    pub fn new(rests: bool, clock: ClockSource) -> Self {
         Self {
             goal: if rests { Goal::Rest } else { Goal::Align },
+            clock,
             ..Self::default()
         }
     }
@@ -322,6 +327,16 @@ impl State {
         let (mut attempts, mut goal, mut restarts) = (self.attempts, self.goal, self.restarts);
         let mode = match (self.mode, *input) {
             (mode, Input::Fault(fault)) => fault_in(mode, fault, attempts, a),
+            (mode, Input::Command(command @ Command::Calibrate)) if !self.clock.is_exact() => {
+                act(
+                    a,
+                    Action::Tell(Event::Refused {
+                        command,
+                        mode: mode.name(),
+                    }),
+                );
+                mode
+            }
             (mode, Input::Command(command)) => match command_in(mode, command, &mut goal, a) {
                 Some(mode) => {
                     attempts = 0;
@@ -387,6 +402,8 @@ impl State {
                 fault_in(self.mode, Fault::Rotor(rotor::RotorFault::Endless), attempts, a)
             }
 
+            // Whatever the filter makes of samples of a wrong length: see `ClockSource`.
+            (_, Input::Alignment(Alignment::Aligned)) if !self.clock.is_exact() => self.mode,
             (mode @ (Mode::Coarse | Mode::Fine | Mode::Aligned), Input::Alignment(told)) => {
                 act(a, Action::Tell(Event::Alignment(told)));
                 aligning(mode, told)
@@ -447,6 +464,7 @@ impl State {
                 attempts,
                 goal,
                 restarts,
+                clock: self.clock,
             },
             actions,
         )
@@ -736,6 +754,40 @@ mod tests {
                 Action::Rotor(rotor::Command::Run),
                 Action::Job(Job::Align),
             ]
+        );
+    }
+
+    #[test]
+    fn by_the_chips_own_clock_nothing_is_aligned_or_calibrated() {
+        let to_fine = [
+            Input::Start,
+            knows(true, true),
+            Input::Imu(Ok(IDENTITY)),
+            Input::Inspected(Ok(FOUND)),
+            Input::Alignment(COARSE),
+            Input::Alignment(Alignment::CaughtUp),
+        ];
+        for (clock, expected) in [
+            (ClockSource::Crystal, Mode::Aligned),
+            (ClockSource::Internal, Mode::Fine),
+        ] {
+            let (fine, _) = run(State::new(false, clock), &to_fine);
+            assert_eq!(fine.mode, Mode::Fine);
+            let (next, actions) = fine.step(&Input::Alignment(Alignment::Aligned), 20_000_000);
+            assert_eq!(next.mode, expected);
+            // Nor does the log say so.
+            assert_eq!(actions.is_empty(), clock == ClockSource::Internal);
+            assert_eq!(next.clock, clock);
+        }
+        let resting = State {
+            clock: ClockSource::Internal,
+            ..in_mode(Mode::Idle)
+        };
+        let (next, actions) = resting.step(&Input::Command(Command::Calibrate), 1);
+        assert_eq!(next, resting);
+        assert!(
+            matches!(actions[..], [Action::Tell(Event::Refused { .. })]),
+            "{actions:?}"
         );
     }
 

@@ -14,7 +14,7 @@
 //! |---|---|---|---|---|
 //! | A | is aligned, or navigates | ready | sent | in full, flag 1 |
 //! | E | aligned, navigates, or aligns finely | fits the model; σ above the limit of the aligner, below [`OutputConfig::estimated_sd`] | absent | in full, flag 0 |
-//! | V | anything else | absent, ambiguous, inconsistent, or older than [`OutputConfig::fresh_ms`] | absent | empty, flag 0 |
+//! | V | anything else, also where its [clock](crate::hal::ClockSource) is not exact | absent, ambiguous, inconsistent, or older than [`OutputConfig::fresh_ms`] | absent | empty, flag 0 |
 //!
 //! HDT has no word for doubt, therefore it comes with A only. M and S are never sent.
 //!
@@ -350,9 +350,11 @@ pub async fn run<M: RawMutex, W: Write>(shared: &Shared<M>, port: &Port<M>, tx: 
         shown = mode;
         cycles = cycles.wrapping_add(1);
 
-        let mut bytes = compose(now_us, status.as_ref(), navigation.as_ref(), &turn, &config);
+        // An estimate by samples of a wrong length is none, and neither is its σ.
+        let told = navigation.as_ref().filter(|_| shared.clock().is_exact());
+        let mut bytes = compose(now_us, status.as_ref(), told, &turn, &config);
         if with_status {
-            let sentence = report(shared, now_us, status.as_ref(), navigation.as_ref(), &config);
+            let sentence = report(shared, now_us, status.as_ref(), told, &config);
             let _ = bytes.extend_from_slice(sentence.as_bytes());
         }
         output.write(&bytes).await;
@@ -448,7 +450,11 @@ fn report<M: RawMutex>(
         heading_sd: navigation
             .and_then(|at| at.estimate.as_ref())
             .map(|estimate| estimate.sd.heading),
-        reason: not_ready.map_or("", reason),
+        reason: if shared.clock().is_exact() {
+            not_ready.map_or("", reason)
+        } else {
+            "clock"
+        },
         fault: status.and_then(|status| Some((status.fault?.name(), status.latched))),
         rotor: shared.angle_at(now_us),
     })

@@ -8,6 +8,8 @@
 //! IMU's oscillator may be some percent off, which would be a scale factor on everything. It is measured over
 //! windows of 64 samples and judged there.
 
+use core::num::NonZeroU16;
+
 use drivers::sequence::{Arrival, SampleTracker, TrackerConfig};
 use drivers::{Channels, Error, Imu, RawSample, SystemFlags};
 use embassy_futures::poll_once;
@@ -61,7 +63,7 @@ pub struct SamplingConfig {
     pub hot: u16,
     /// Temperature from which on a sample is hot, °C.
     pub limit_c: f32,
-    /// Deviation of the period of the samples that makes a fault.
+    /// Deviation of the period of the samples that makes a fault; what the unit's own clock may be off comes on top.
     pub clock_tolerance: f32,
     /// How samples follow each other.
     pub tracker: TrackerConfig,
@@ -133,6 +135,15 @@ impl Period {
         self.mean_us += share * (measured - self.mean_us);
         Some(measured)
     }
+}
+
+/// Where the period of the samples is off by more than this share.
+fn clock_fault(expected_us: f32, measured_us: f32, tolerance: f32) -> Option<Fault> {
+    let off = (measured_us / expected_us - 1.0).abs();
+    (off > tolerance).then_some(Fault::Clock {
+        expected_us,
+        measured_us,
+    })
 }
 
 /// What is suspect in a row of samples. Pure.
@@ -258,7 +269,7 @@ pub async fn run<M: RawMutex, I: Imu, E: EdgeCapture>(
             scale: imu.scale(),
             period: imu.period(),
         });
-        sampler.restart(imu.period());
+        sampler.restart(imu.period(), imu.base_samples());
         // An edge from before the settings, if there is one, is none of a sample's that counts.
         let _ = poll_once(edges.edge());
         let silent_us = sampler.nominal_us as u64 * u64::from(config.silent_periods);
@@ -317,9 +328,9 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
         }
     }
 
-    fn restart(&mut self, period: f32) {
+    fn restart(&mut self, period: f32, base: NonZeroU16) {
         self.nominal_us = period * 1e6;
-        self.tracker.resynchronise();
+        self.tracker.learn(base, self.nominal_us as u32);
         self.monitor = Monitor::new(self.config);
         self.period = Period::new(self.nominal_us);
         self.raised = false;
@@ -397,12 +408,9 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
         };
         let late_us = self.late(arrival, f32::from(lost), t_us);
         if let Some(measured_us) = self.period.push(edge.t_us, u32::from(lost) + 1) {
-            let off = (measured_us / self.nominal_us - 1.0).abs();
-            if off > self.config.clock_tolerance {
-                self.raise(Fault::Clock {
-                    expected_us: self.nominal_us,
-                    measured_us,
-                });
+            let tolerance = self.config.clock_tolerance + shared.clock().tolerance();
+            if let Some(fault) = clock_fault(self.nominal_us, measured_us, tolerance) {
+                self.raise(fault);
             }
         }
         let dt = self.period.us() * 1e-6;
@@ -442,6 +450,7 @@ mod tests {
     use drivers::{ForceCounts, RateCounts, Sequence, Status, TemperatureCounts};
 
     use super::*;
+    use crate::hal::ClockSource;
 
     fn raw(k: i32) -> RawSample {
         RawSample {
@@ -493,6 +502,24 @@ mod tests {
         // A good one in between begins the row anew.
         assert_eq!(monitor.sample(&raw(1), Arrival::Next, 25.0), None);
         assert_eq!(monitor.failed(error), None);
+    }
+
+    /// 2 % of the IMU's oscillator, and what the chip's own may be off: 8 % slow or 4.5 % fast by DS9405.
+    #[test]
+    fn the_chips_own_clock_is_no_fault_and_a_wrong_rate_is() {
+        for (clock, off, is_fault) in [
+            (ClockSource::Crystal, 0.019, false),
+            (ClockSource::Crystal, -0.021, true),
+            (ClockSource::Internal, 0.06, false),
+            (ClockSource::Internal, -0.099, false),
+            // The next step of DEC_RATE but one.
+            (ClockSource::Internal, 2.0 / 19.0, true),
+            (ClockSource::Internal, -0.5, true),
+        ] {
+            let tolerance = SamplingConfig::default().clock_tolerance + clock.tolerance();
+            let fault = clock_fault(4941.0, 4941.0 * (1.0 + off), tolerance);
+            assert_eq!(fault.is_some(), is_fault, "{clock:?} {off}");
+        }
     }
 
     #[test]

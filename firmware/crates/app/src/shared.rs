@@ -29,6 +29,7 @@ use nav::navigator::Track;
 
 use crate::command::Command;
 use crate::fault::{Fault, Task};
+use crate::hal::ClockSource;
 use crate::log::{CalibrationEnd, Event, Level};
 use crate::mode::{Input, Job, Status};
 use crate::nmea_in::Fix;
@@ -172,6 +173,8 @@ pub struct Shared<M: RawMutex> {
     inhibited: AtomicBool,
     /// Since when, µs.
     inhibited_us: Mutex<M, Cell<u64>>,
+    /// The clock is the chip's own.
+    internal_clock: AtomicBool,
     /// A fault did not fit into `inputs`.
     missed: Mutex<M, Cell<Option<Fault>>>,
     /// When each task last checked in, ms of the unit's clock, modulo 2³².
@@ -222,6 +225,7 @@ impl<M: RawMutex> Shared<M> {
             log_level: AtomicU8::new(Level::Debug as u8),
             inhibited: AtomicBool::new(true),
             inhibited_us: Mutex::new(Cell::new(0)),
+            internal_clock: AtomicBool::new(false),
             missed: Mutex::new(Cell::new(None)),
             check_ins: [const { AtomicU32::new(0) }; Task::ALL.len()],
         }
@@ -239,6 +243,20 @@ impl<M: RawMutex> Shared<M> {
 
     pub(crate) fn imu_is(&self, facts: ImuFacts) {
         self.imu.lock(|cell| cell.set(Some(facts)));
+    }
+
+    /// What the unit's clock goes by: a crystal, unless the board has said otherwise.
+    pub fn clock(&self) -> ClockSource {
+        if self.internal_clock.load(Ordering::Relaxed) {
+            ClockSource::Internal
+        } else {
+            ClockSource::Crystal
+        }
+    }
+
+    /// Says so, before the tasks start.
+    pub fn set_clock(&self, clock: ClockSource) {
+        self.internal_clock.store(!clock.is_exact(), Ordering::Relaxed);
     }
 
     /// Whether every sample is to go out on the serial line, see [`crate::record`].

@@ -66,7 +66,7 @@ pub async fn run<M: RawMutex, C: Cutoff, W: Watchdog, B: Memory>(
         shared.check_in(task);
     }
     let status = shared.status.sender();
-    let mut state = State::new(blackbox.rests());
+    let mut state = State::new(blackbox.rests(), shared.clock());
     let mut ticker = Ticker::every(Duration::from_millis(u64::from(config.period_ms)));
     let mut input = match blackbox.brake() {
         Some(crashes) => Input::Fault(Fault::BootLoop { crashes }),

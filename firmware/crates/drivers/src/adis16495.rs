@@ -47,13 +47,14 @@
 //!
 //! # Not verified
 //!
-//! Nothing here has run on a part. Open in particular: that DATA_CNT counts output samples and not
-//! base samples (if not, set [`TrackerConfig::step`](crate::sequence::TrackerConfig::step) to
-//! DEC_RATE + 1); that reading SYS_E_FLAG, also in a burst, clears it; that the decimation filter is a
+//! Nothing here has run on a part. Open in particular: whether DATA_CNT counts output samples or base
+//! samples, which is therefore [learnt](crate::sequence::SampleTracker::learn) at each start; that reading SYS_E_FLAG, also in a burst, clears it; that the decimation filter is a
 //! plain mean; how the part behaves between 3 and 3.6 MHz.
 //!
 //! Not used: delta-angle registers (not in the burst), external clock, bias correction, and the part's
 //! flash.
+
+use core::num::NonZeroU16;
 
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::spi::{Operation, SpiDevice};
@@ -495,6 +496,10 @@ impl<SPI: SpiDevice, D: DelayNs> Imu for Adis16495<SPI, D> {
 
     fn period(&self) -> f32 {
         (f32::from(self.dec_rate) + 1.0) / BASE_RATE_HZ as f32
+    }
+
+    fn base_samples(&self) -> NonZeroU16 {
+        NonZeroU16::MIN.saturating_add(self.dec_rate)
     }
 }
 

@@ -1,5 +1,7 @@
 //! What every IMU of the unit gives, whatever the part.
 
+use core::num::NonZeroU16;
+
 use frames::{Sensor, Vec3, wording};
 
 use crate::Error;
@@ -330,6 +332,12 @@ pub trait Imu {
 
     /// Nominal time from one sample to the next in the present configuration, s.
     fn period(&self) -> f32;
+
+    /// Samples of the part's own that make one that it puts out, in the present configuration, where its counter may
+    /// count either: see [`learn`](crate::sequence::SampleTracker::learn). One where that is no question.
+    fn base_samples(&self) -> NonZeroU16 {
+        NonZeroU16::MIN
+    }
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `exti` | the part has no external interrupts there |
 //! | `pwm` | a TIM1 that wakes nobody, in place of one that wakes 160 000 times a second |
-//! | [`Part::correct`] | a software update of a stopped timer sets capture flags that it must not set |
+//! | [`Part::correct`] | a software update of a stopped timer sets capture flags that it must not set; an HSE without a clock becomes ready |
 //! | [`Part::power`] | the part takes no power-on reset there |
 //! | `flash` | an array that can be erased and written, where there it is read-only; what it lacks is told there |
 //!
@@ -22,7 +22,7 @@ use rigless::device::{ErasedDevice, Level, ResetCause};
 use rigless::emulator::{Access, AccessKind, Memory, Settled};
 use rigless::mcu::{Mcu, Operate as _};
 use rigless::soc::stm32f427::Stm32f427;
-use rigless::soc::stm32f427::generated::{syscfg, tim1, tim2};
+use rigless::soc::stm32f427::generated::{rcc, syscfg, tim1, tim2};
 use rigless::soc::stm32f427::peripherals::gpio::Pin as Number;
 use rigless::soc::stm32f427::peripherals::spi::Select;
 use rigless::soc::{Bus, Error};
@@ -32,14 +32,14 @@ use exti::Exti;
 use flash::Interface;
 use pwm::QuietTim1;
 
-/// Supply of the part, mV.
-const SUPPLY_MV: u32 = 3300;
 /// Ports of the part in order; EXTICR numbers them alike.
 const PORTS: [&str; 11] = [
     "GPIOA", "GPIOB", "GPIOC", "GPIOD", "GPIOE", "GPIOF", "GPIOG", "GPIOH", "GPIOI", "GPIOJ", "GPIOK",
 ];
 /// Bases of TIM2 to TIM5.
 const GENERAL_TIMERS: [u64; 4] = [0x4000_0000, 0x4000_0400, 0x4000_0800, 0x4000_0C00];
+/// CR of the RCC.
+const RCC_CR: u64 = 0x4002_3800;
 /// Offset of EGR in a timer.
 const EGR: u64 = 0x14;
 /// CC1IF to CC4IF in SR of a timer.
@@ -107,37 +107,41 @@ pub struct Part {
     exti_slot: usize,
     quiet: Option<QuietTim1>,
     tim1_slot: usize,
+    rcc_slot: usize,
     flash: Interface,
     flash_slot: usize,
     driven: BTreeMap<Pin, Level>,
     break_level: Level,
+    supply_mv: u32,
 }
 
 /// rigless's part with its supply on.
-fn powered(hse_hz: u64) -> Result<Stm32f427, Error> {
+fn powered(hse_hz: u64, supply_mv: u32) -> Result<Stm32f427, Error> {
     let mut inner = Stm32f427::new()?;
     inner.rcc.attach_crystals(hse_hz, 0);
-    inner.set_supply(SUPPLY_MV);
+    inner.set_supply(supply_mv);
     Ok(inner)
 }
 
 impl Part {
-    /// A part with a crystal of `hse_hz`.
+    /// A part with a crystal of `hse_hz`, zero for none, at `supply_mv`.
     ///
     /// # Errors
     /// Where the part does not assemble, which is a mistake in a model.
-    pub fn new(hse_hz: u64, timer: BridgeTimer) -> Result<Self, Error> {
-        let inner = powered(hse_hz)?;
+    pub fn new(hse_hz: u64, supply_mv: u32, timer: BridgeTimer) -> Result<Self, Error> {
+        let inner = powered(hse_hz, supply_mv)?;
         let mut part = Self {
             exti: Exti::default(),
             exti_slot: inner.bus().slot("EXTI")?,
             quiet: (timer == BridgeTimer::Quiet).then(QuietTim1::default),
             tim1_slot: inner.bus().slot("TIM1")?,
-            flash: Interface::new(SUPPLY_MV),
+            rcc_slot: inner.bus().slot("RCC")?,
+            flash: Interface::new(supply_mv),
             flash_slot: inner.bus().slot("FLASH")?,
             inner,
             driven: BTreeMap::new(),
             break_level: Level::Low,
+            supply_mv,
         };
         part.check()?;
         Ok(part)
@@ -254,7 +258,7 @@ impl Part {
     ///
     /// A store into the flash is nobody's there, and no model reaches the array. A software update (UG) of a stopped
     /// counter sets CC1IF to CC4IF there where CCRx is zero, and real parts do not: embassy's clock would begin at half
-    /// a period, and long sleeps could come late by as much.
+    /// a period, and long sleeps could come late by as much. An HSE with nothing on its pin becomes ready there.
     pub fn correct<M: Memory + ?Sized>(&mut self, settled: &Settled, memory: &mut M) {
         let at = match settled {
             Settled::Access { access, .. } => {
@@ -275,6 +279,13 @@ impl Part {
             self.flash.store(access, memory, registers, &mut context);
             return;
         }
+        if access.address == RCC_CR && self.inner.rcc.crystals().0 == 0 {
+            // Switched off before it is ready, it never is. What reads back is HSEON cleared, which a part would show set.
+            let registers = self.inner.bus_mut().slot_mut(self.rcc_slot).registers_mut();
+            let control = registers.get(rcc::Register::Cr);
+            registers.set(rcc::Register::Cr, rcc::cr::HSEON.set(control, 0));
+            return;
+        }
         if access.value & 1 == 0 {
             return;
         }
@@ -292,7 +303,9 @@ impl Part {
     fn power_on(&mut self) {
         let (hse_hz, _) = self.inner.rcc.crystals();
         // What has assembled once does so again.
-        let Ok(mut fresh) = powered(hse_hz) else { return };
+        let Ok(mut fresh) = powered(hse_hz, self.supply_mv) else {
+            return;
+        };
         for (fresh, old) in fresh.spi.iter_mut().zip(&mut self.inner.spi) {
             fresh.inherit(old);
         }
@@ -319,7 +332,7 @@ impl Mcu for Part {
         }
         self.exti = Exti::default();
         let registers = self.inner.bus_mut().slot_mut(self.flash_slot).registers_mut();
-        self.flash.restart(SUPPLY_MV, registers);
+        self.flash.restart(self.supply_mv, registers);
         if self.quiet.is_some() {
             self.quiet = Some(QuietTim1::default());
         }

@@ -29,6 +29,7 @@ use frames::units::DEG;
 
 use crate::blackbox::{self, Memory};
 use crate::command::Command;
+use crate::hal::Supply;
 use crate::nmea::{self, Line};
 use crate::nmea_in::{Fix, Place};
 use crate::output::Port;
@@ -53,6 +54,7 @@ pub async fn run<M: RawMutex, F: NorFlash>(
     mut rx: impl Read,
     mut store: Store<F>,
     mut records: impl Memory,
+    mut supply: impl Supply,
 ) -> ! {
     let mut lines = LineBuffer::new();
     let mut keep_us = 0;
@@ -68,8 +70,8 @@ pub async fn run<M: RawMutex, F: NorFlash>(
         for byte in bytes.iter().take(count) {
             if let Some(found) = lines.push(*byte) {
                 match found {
-                    Ok(Request::Fix(fix)) => heed(shared, &mut store, &fix, &mut keep_us).await,
-                    Ok(request) => obey(shared, port, &mut store, &mut records, request).await,
+                    Ok(Request::Fix(fix)) => heed(shared, &mut store, &mut supply, &fix, &mut keep_us).await,
+                    Ok(request) => obey(shared, port, &mut store, &mut records, &mut supply, request).await,
                     Err(error) => port.answer(nmea::answer(false, error.expected())).await,
                 }
             }
@@ -78,7 +80,13 @@ pub async fn run<M: RawMutex, F: NorFlash>(
 }
 
 /// Passes on what a receiver says, and keeps the place.
-async fn heed<M: RawMutex, F: NorFlash>(shared: &Shared<M>, store: &mut Store<F>, fix: &Fix, keep_us: &mut u64) {
+async fn heed<M: RawMutex, F: NorFlash>(
+    shared: &Shared<M>,
+    store: &mut Store<F>,
+    supply: &mut impl Supply,
+    fix: &Fix,
+    keep_us: &mut u64,
+) {
     // The alignment hears of the next one.
     let _ = shared.fixes.try_send(*fix);
     let Some(Place { latitude, longitude }) = fix.place else {
@@ -107,7 +115,9 @@ async fn heed<M: RawMutex, F: NorFlash>(shared: &Shared<M>, store: &mut Store<F>
     }
     shared.change(|settings| settings.last_position = position);
     // What fails here fails at `save` as well, which says so.
-    let _ = store.save_position(&position).await;
+    if supply.is_enough() {
+        let _ = store.save_position(&position).await;
+    }
 }
 
 async fn obey<M: RawMutex, F: NorFlash>(
@@ -115,6 +125,7 @@ async fn obey<M: RawMutex, F: NorFlash>(
     port: &Port<M>,
     store: &mut Store<F>,
     records: &mut impl Memory,
+    supply: &mut impl Supply,
     request: Request,
 ) {
     let (ok, text) = match request {
@@ -183,7 +194,7 @@ async fn obey<M: RawMutex, F: NorFlash>(
             }
             (true, taken_up(setting.group))
         }
-        Request::Save => match save(store, &shared.settings()).await {
+        Request::Save => match save(store, supply, &shared.settings()).await {
             Ok(()) => (true, "saved"),
             Err(error) => (false, why(error)),
         },
@@ -191,6 +202,9 @@ async fn obey<M: RawMutex, F: NorFlash>(
             let mode = shared.status.try_get().map(|status| status.mode);
             match mode {
                 Some(mode) if !mode.takes(command) => (false, refusal(command)),
+                _ if command == Command::Calibrate && !shared.clock().is_exact() => {
+                    (false, "not by the chip's own clock")
+                }
                 _ if shared.commands.try_send(command).is_ok() => (true, done(command)),
                 _ => (false, "expected some time between commands"),
             }
@@ -200,7 +214,11 @@ async fn obey<M: RawMutex, F: NorFlash>(
 }
 
 /// All that a command or a calibration may have changed.
-async fn save<F: NorFlash>(store: &mut Store<F>, settings: &Settings) -> Result<(), StoreError> {
+async fn save<F: NorFlash>(
+    store: &mut Store<F>,
+    supply: &mut impl Supply,
+    settings: &Settings,
+) -> Result<(), StoreError> {
     for group in [
         Group::Installation,
         Group::Motion,
@@ -210,6 +228,9 @@ async fn save<F: NorFlash>(store: &mut Store<F>, settings: &Settings) -> Result<
         Group::Encoder,
         Group::Noise,
     ] {
+        if !supply.is_enough() {
+            return Err(StoreError::Supply);
+        }
         store.save(settings, group).await?;
     }
     Ok(())
@@ -223,6 +244,7 @@ const fn why(error: StoreError) -> &'static str {
         StoreError::Flash => "not saved: the flash reports an error",
         StoreError::Full => "not saved: no room",
         StoreError::Worn => "not saved: the flash is worn out",
+        StoreError::Supply => "not saved: the supply is below 2.8 V",
     }
 }
 

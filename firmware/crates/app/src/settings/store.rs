@@ -95,6 +95,8 @@ pub enum StoreError {
     Full,
     /// The flash does not hold what is written.
     Worn,
+    /// The supply is too low to write.
+    Supply,
 }
 
 impl fmt::Display for StoreError {
@@ -108,6 +110,7 @@ impl fmt::Display for StoreError {
             Self::Flash => f.write_str("the settings' flash reports an error: check its supply and its protection"),
             Self::Full => f.write_str("no room for settings: erase them and enter them anew"),
             Self::Worn => f.write_str("the settings' flash does not hold what is written: replace the part"),
+            Self::Supply => f.write_str("the supply is below 2.8 V, flash needs more: check it, then save again"),
         }
     }
 }
