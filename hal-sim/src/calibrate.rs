@@ -183,14 +183,17 @@ fn earth_rate(stand: &Stand) -> Result<Vec3<Body, f64>, EarthError> {
 /// # Errors
 /// [`CalibrateError`].
 pub fn of_log(path: &Path, setup: &Setup) -> Result<(Calibration<f64>, Report), CalibrateError> {
-    of_reader(LogReader::open(path)?, setup)
+    of_reader(&mut LogReader::open(path)?, setup)
 }
 
 /// The same for a log that is open already.
 ///
 /// # Errors
 /// As of [`of_log`].
-pub fn of_reader<R: BufRead>(log: LogReader<R>, setup: &Setup) -> Result<(Calibration<f64>, Report), CalibrateError> {
+pub fn of_reader<R: BufRead>(
+    log: &mut LogReader<R>,
+    setup: &Setup,
+) -> Result<(Calibration<f64>, Report), CalibrateError> {
     let w_ie_b = setup
         .stand
         .as_ref()

@@ -33,15 +33,16 @@ use hal_sim::reproduce;
 use hal_sim::scenario::Scenario;
 use hal_sim::simulate::{self, Moment, Row};
 use hal_sim::soak::SoakConfig;
+use hal_sim::turn;
 use hal_sim::unit::Unit;
 use hal_sim::unit_sim::{self, Line, Typed};
 use indicatif::{ProgressBar, ProgressBarIter, ProgressFinish, ProgressStyle};
-use nav::aligner::Event;
+use nav::aligner::{Event, Restart};
 use nav::rotor::RotorConfig;
 
 use args::{
     AllanArgs, Base, BoundArgs, CalibrateArgs, Cli, Command, InspectArgs, LinkArgs, MonteCarloArgs, ObservabilityArgs,
-    ReplayArgs, ReproduceArgs, RunArgs, Simulated, SoakArgs, UnitArgs,
+    ReplayArgs, ReproduceArgs, RunArgs, Simulated, SoakArgs, TurnArgs, UnitArgs,
 };
 use colour::Sense;
 
@@ -72,6 +73,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Allan(args) => allan(&args, cli.quiet),
         Command::Calibrate(args) => calibrate(&args, cli.quiet),
         Command::Convert { log, csv } => convert_log(&log, &csv, cli.quiet),
+        Command::Turn(args) => turn(&args, cli.quiet),
         Command::Reproduce(args) => reproduce(&args, cli.quiet),
         Command::Inspect(args) => inspect(&args),
         Command::Scenarios { name } => scenarios(name.as_deref()),
@@ -245,6 +247,10 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
         None if log.header().is_some() => None,
         None => Some(unit_of_log(&args.log, quiet)?),
     };
+    let unit = match unit {
+        Some(unit) if log.header().is_none() => Some(with_quantisation(&args.log, unit, quiet)?),
+        unit => unit,
+    };
     // What is said here goes before what a recording says, all along.
     let told = |header: Option<&Header>| {
         let recorded = match header {
@@ -271,6 +277,8 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
         quiet,
         bridged: 0,
         bridged_s: 0.0,
+        restarted: 0,
+        bad: 0,
     };
     if let Some(header) = log.header().filter(|_| !quiet) {
         eprintln!(
@@ -291,6 +299,18 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
             observer.bridged_s
         );
         warn(&gaps);
+    }
+    if observer.bad > 0 {
+        warn(&format!(
+            "{} samples beyond any sensor's range: the alignment began anew after each",
+            observer.bad
+        ));
+    }
+    if observer.restarted > RESTARTS_TOLD {
+        warn(&format!(
+            "started anew {} times more",
+            observer.restarted - RESTARTS_TOLD
+        ));
     }
     if args.json {
         print_json(&result)?;
@@ -325,12 +345,44 @@ fn unit_of_log(log: &Path, quiet: bool) -> Result<Unit, String> {
     Ok(unit)
 }
 
+/// The figures of the IMU, its white noise no less than the steps of the log make it where they are far above.
+fn with_quantisation(log: &Path, unit: Unit, quiet: bool) -> Result<Unit, String> {
+    let (mut reader, _) = open_log(log, true)?;
+    let (gyro, accel) = replay::quantisation(&mut reader);
+    let coarse = |steps: f64, told: f64| steps > COARSE * told;
+    let mut with = unit;
+    let (mut named, told) = (
+        Vec::new(),
+        (with.angle_random_walk_deg_sqrt_h, with.velocity_random_walk_ug_sqrt_hz),
+    );
+    if coarse(gyro, told.0) {
+        with.angle_random_walk_deg_sqrt_h = gyro;
+        named.push(format!("gyros {gyro:.4} degrees/√h instead of {}", told.0));
+    }
+    if coarse(accel, told.1) {
+        with.velocity_random_walk_ug_sqrt_hz = accel;
+        named.push(format!("accelerometers {accel:.0} µg/√Hz instead of {}", told.1));
+    }
+    if !quiet && !named.is_empty() {
+        eprintln!("IMU: white noise as the steps of the log make it: {}", named.join(", "));
+    }
+    Ok(with)
+}
+
+/// Steps of a log that make so many times the white noise that was told are taken into account.
+const COARSE: f64 = 3.0;
+
+/// So many restarts of a replay are told one by one.
+const RESTARTS_TOLD: u64 = 5;
+
 /// Prints what happens in a replay.
 struct ReplayObserver {
     bar: ProgressBar,
     quiet: bool,
     bridged: u64,
     bridged_s: f64,
+    restarted: u64,
+    bad: u64,
 }
 
 impl replay::Observer for ReplayObserver {
@@ -341,9 +393,15 @@ impl replay::Observer for ReplayObserver {
                 self.bridged += 1;
                 self.bridged_s += f64::from(*length);
             }
-            Event::Restarted(_) => self
-                .bar
-                .suspend(|| warn(&format!("at {t:.2} s {}", align::describe(event)))),
+            // So here: most samples of a log in other units are such.
+            Event::Restarted(Restart::BadSample) => self.bad += 1,
+            Event::Restarted(_) => {
+                self.restarted += 1;
+                if self.restarted <= RESTARTS_TOLD {
+                    self.bar
+                        .suspend(|| warn(&format!("at {t:.2} s {}", align::describe(event))));
+                }
+            }
             _ => told(&self.bar, self.quiet, t, &align::describe(event)),
         }
     }
@@ -374,9 +432,25 @@ fn convert_log(from: &Path, to: &Path, quiet: bool) -> Done {
     let (mut reader, bar) = open_log(from, quiet)?;
     let rows = convert_from(&mut reader, from, to, LogRow::sample).map_err(words)?;
     bar.finish_and_clear();
-    for warning in reader.warnings() {
-        warn(&warning.to_string());
+    reader.warnings().iter().for_each(|warning| warn(&warning.to_string()));
+    if !quiet {
+        eprintln!("{rows} rows");
     }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn turn(args: &TurnArgs, quiet: bool) -> Done {
+    has_folder(&args.out)?;
+    let radians = frames::units::DEG;
+    let rotor = RotorConfig {
+        rate: args.rate * radians,
+        travel: args.travel * radians,
+        acceleration: args.acceleration * radians,
+    };
+    let (mut log, bar) = open_log(&args.log, quiet)?;
+    let rows = turn::turn(&mut log, &args.log, &args.out, &rotor).map_err(words)?;
+    bar.finish_and_clear();
+    log.warnings().iter().for_each(|warning| warn(&warning.to_string()));
     if !quiet {
         eprintln!("{rows} rows");
     }
@@ -612,13 +686,14 @@ fn allan(args: &AllanArgs, quiet: bool) -> Done {
         .try_for_each(|path| not_itself(&args.log, path))
         .map_err(words)?;
     let named = |e| format!("{}: {e}", args.log.display());
-    let (log, bar) = open_log(&args.log, quiet)?;
-    let report = allan::of_reader(log).map_err(|e| match e {
+    let (mut log, bar) = open_log(&args.log, quiet)?;
+    let report = allan::of_reader(&mut log).map_err(|e| match e {
         // A log's own errors begin with its name.
         AllanError::Log(e) => e.to_string(),
         other => named(other),
     })?;
     bar.finish_and_clear();
+    log.warnings().iter().for_each(|warning| warn(&warning.to_string()));
     if let Some(folder) = args.plot.parent() {
         std::fs::create_dir_all(folder).map_err(|e| cannot_write(folder, &e))?;
     }
@@ -656,9 +731,10 @@ fn calibrate(args: &CalibrateArgs, quiet: bool) -> Done {
         CalibrateError::Log(_) => e.to_string(),
         other => format!("{}: {other}", args.log.display()),
     };
-    let (log, bar) = open_log(&args.log, quiet)?;
-    let (calibration, report) = calibrate::of_reader(log, &setup).map_err(named)?;
+    let (mut log, bar) = open_log(&args.log, quiet)?;
+    let (calibration, report) = calibrate::of_reader(&mut log, &setup).map_err(named)?;
     bar.finish_and_clear();
+    log.warnings().iter().for_each(|warning| warn(&warning.to_string()));
     if let Some(corrected) = &args.corrected {
         calibrate::correct_log(&args.log, corrected, &calibration).map_err(words)?;
     }

@@ -36,5 +36,6 @@ pub mod sensors;
 pub mod simulate;
 pub mod soak;
 pub mod truth;
+pub mod turn;
 pub mod unit;
 pub mod unit_sim;

@@ -6,7 +6,12 @@
 //!
 //! Rates and specific forces are means over the interval that ends at `t_s`, in s; the encoder is read at its end. The
 //! first interval is as long as the second. Columns are found by their names, in any order; other columns are ignored.
-//! Blank lines, CRLF, a byte order mark and quoted fields are accepted.
+//! Fields are separated by comma, semicolon, tab, bar or blanks, which the header tells; where it is not a comma, numbers
+//! may have decimal commas. Names may be in upper case. Blank lines, comments (`#`), CRLF, a byte order mark and quoted
+//! fields are accepted, and NUL bytes at the end, which a power cut leaves.
+//!
+//! Stamps that jitter, or are wrong at the beginning, are told from rows that are missing: the rows are spaced anew, with a
+//! warning.
 //!
 //! A recording is the frames of [`app::record`] amid sentences and whatever else a line carries; `docs/log.md` has its
 //! layout. It holds the unit's own intervals and flags, which a CSV has no columns for.
@@ -20,6 +25,7 @@ mod check;
 mod csv;
 #[cfg(test)]
 mod tests;
+mod time;
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Chain, Cursor, Read, Write};
@@ -52,7 +58,7 @@ pub const MAX_LINE: usize = 4096;
 
 /// Largest magnitude accepted, by column: beyond any sensor in any unit one could have taken by mistake, and well
 /// within f32.
-const LIMITS: [f64; 9] = [1e12, 1e6, 1e6, 1e6, 1e6, 1e6, 1e6, 1e7, 1e6];
+const LIMITS: [f64; 9] = [1e19, 1e6, 1e6, 1e6, 1e6, 1e6, 1e6, 1e10, 1e6];
 
 /// Longest piece of a file repeated in a message, characters.
 const QUOTE: usize = 32;
@@ -66,6 +72,8 @@ pub enum LogProblem {
     Empty,
     /// A gzip file.
     Compressed,
+    /// Text in UTF-16.
+    Utf16,
     /// The first line is not a header but numbers.
     NoHeader,
     /// Columns the header lacks.
@@ -78,6 +86,13 @@ pub enum LogProblem {
     SingleRow,
     /// The row has not as many fields as the header.
     FieldCount {
+        /// Fields in the row.
+        found: usize,
+        /// Fields in the header.
+        expected: usize,
+    },
+    /// The same, as if numbers had decimal commas where a comma separates.
+    DecimalComma {
         /// Fields in the row.
         found: usize,
         /// Fields in the header.
@@ -143,12 +158,25 @@ pub enum LogProblem {
     },
     /// The accelerometer's mean norm is not gravity's in any unit; as read.
     AccelNorm(f64),
+    /// The accelerometers' z axis does not point up: their mean on z, m/s².
+    AccelAxes(f64),
+    /// Rates beyond any sensor in most rows: the largest, as read.
+    GyroUnit(f64),
     /// The gyros are in °/s: gyro z over the encoder's rate.
     GyroDegrees(f64),
     /// The encoder is in degrees: its rate as read.
     EncoderDegrees(f64),
     /// Gyro z and encoder turn in opposite directions.
     Opposite,
+    /// Gyro z over the encoder's rate, which stays far from one.
+    Mismatch(f64),
+    /// The encoder is read less often than the gyros: each angle is held.
+    EncoderHeld {
+        /// Rows that an angle is held for.
+        rows: f64,
+        /// How far the angles are behind on average, rad.
+        behind: f64,
+    },
     /// The encoder rests while gyro z turns.
     EncoderStuck {
         /// Its reading, rad.
@@ -158,8 +186,6 @@ pub enum LogProblem {
         /// In this time, s.
         seconds: f64,
     },
-    /// The encoder never turned, and gyro z neither.
-    NoRotation,
     /// A gyro repeats one value: saturated where it is the largest seen, else frozen.
     GyroStuck {
         /// The column.
@@ -169,6 +195,57 @@ pub enum LogProblem {
         /// Whether it is the largest seen.
         saturated: bool,
     },
+}
+
+/// What makes gyro z so many times the encoder's rate, and what to do.
+fn cause(ratio: f64) -> String {
+    use core::f64::consts::TAU;
+    let near = |expected: f64| (ratio.abs() / expected - 1.0).abs() < 0.12;
+    // What the encoder counts in a radian of the rotor, and in a turn.
+    let (units, turn) = (ratio.abs().recip(), ratio.abs().recip() * TAU);
+    let bits = turn.log2();
+    let what = if near(TAU) {
+        "encoder_rad looks like turns, multiply by 6.283185".to_owned()
+    } else if near(1e3) {
+        "the gyros look like mrad/s, multiply by 0.001".to_owned()
+    } else if near(57_295.8) {
+        "the gyros look like mdeg/s, multiply by 1.745329e-5".to_owned()
+    } else if near(206_264.8) {
+        "the gyros look like degrees/h, multiply by 4.848137e-6".to_owned()
+    } else if ratio.abs() > 1.5 {
+        "the gyros look like counts, multiply by what a count is in rad/s; or encoder_rad by what its unit is in rad"
+            .to_owned()
+    } else if units < 50.0 && (units - units.round()).abs() < 0.12 * units && units.round() >= 2.0 {
+        format!(
+            "encoder_rad looks like the electrical angle of a motor with about {units:.0} pole pairs, unwrap it and divide \
+             by them"
+        )
+    } else if bits > 7.0 && (bits - bits.round()).abs() < 0.1 {
+        format!(
+            "encoder_rad looks like counts, 2^{bits:.0} a turn, multiply by 6.283185/{:.0}",
+            bits.round().exp2()
+        )
+    } else if units > 20.0 {
+        format!("encoder_rad looks like counts, about {turn:.0} a turn, multiply by 6.283185 over the counts of a turn")
+    } else {
+        "a wrong scale, times that are wrong, a gear between rotor and encoder, or a base that turns".to_owned()
+    };
+    if ratio < 0.0 {
+        format!("{what}; and one of them is reversed, change its sign")
+    } else {
+        what
+    }
+}
+
+/// The unit that rows a time `dt` apart look like, where they have to be 5 to 20000 a second.
+fn time_unit(dt: f64) -> Option<(&'static str, &'static str)> {
+    let units = [(1e3, "ms", "0.001"), (1e6, "µs", "1e-6"), (1e9, "ns", "1e-9")];
+    let from_usual = |factor: f64| (dt / factor / 5e-3).ln().abs();
+    units
+        .into_iter()
+        .filter(|(factor, ..)| (5e-5..=0.2).contains(&(dt / factor)))
+        .min_by(|a, b| from_usual(a.0).total_cmp(&from_usual(b.0)))
+        .map(|(_, name, factor)| (name, factor))
 }
 
 /// The start of a text, for messages.
@@ -186,6 +263,9 @@ impl core::fmt::Display for LogProblem {
             Self::Read(what) => write!(f, "cannot read: {what}"),
             Self::Empty => f.write_str("the file is empty: a log starts with a header that names its columns"),
             Self::Compressed => f.write_str("the file is compressed: unpack it first (gunzip)"),
+            Self::Utf16 => f.write_str(
+                "the file is text in UTF-16, as PowerShell's `>` writes it: save it as UTF-8 (Out-File -Encoding utf8)",
+            ),
             Self::NoHeader => write!(
                 f,
                 "no header: the first line must name the columns {}",
@@ -203,6 +283,11 @@ impl core::fmt::Display for LogProblem {
                 "{found} {} where the header has {expected}: remove the row or repair it",
                 if *found == 1 { "field" } else { "fields" }
             ),
+            Self::DecimalComma { found, expected } => write!(
+                f,
+                "{found} fields where the header has {expected}: the numbers seem to have decimal commas; separate fields \
+                 by semicolons, or write decimal points"
+            ),
             Self::NotANumber { column, text } if text.is_empty() => {
                 write!(f, "{column}: empty where a number must be")
             }
@@ -214,10 +299,16 @@ impl core::fmt::Display for LogProblem {
             Self::Truncated => f.write_str("the file ends inside this row: copy the log again, or remove the row"),
             Self::LongLine => write!(f, "the line is longer than {MAX_LINE} bytes: not a log in CSV"),
             Self::NotText(byte) => write!(f, "byte {byte} of the line is not UTF-8 text: not a log in CSV"),
-            Self::TimeStep(dt) => write!(
-                f,
-                "t_s grows by {dt:.3e} from row to row: it must be in seconds, with 5 to 20000 rows a second"
-            ),
+            Self::TimeStep(dt) => {
+                write!(
+                    f,
+                    "t_s grows by {dt:.3e} from row to row: it must be in seconds, with 5 to 20000 rows a second"
+                )?;
+                match time_unit(*dt) {
+                    Some((unit, factor)) => write!(f, "; it looks like {unit}, multiply by {factor}"),
+                    None => Ok(()),
+                }
+            }
             Self::NoRecord { sentences } => write!(
                 f,
                 "{sentences} sentences, but no record of samples: switch recording on in the unit"
@@ -245,6 +336,21 @@ impl core::fmt::Display for LogProblem {
                 f,
                 "the accelerometers read {mean:.3} on average where gravity is 9.8 m/s²: wrong unit or a broken axis"
             ),
+            Self::AccelAxes(z) if *z < 0.0 => write!(
+                f,
+                "accel_z_m_s2 is {z:.2} on average where z is up and gravity reads +9.8: change the signs of all three \
+                 accelerometers; or, of an IMU that hangs upside down, the signs of y and z of gyros and accelerometers"
+            ),
+            Self::AccelAxes(z) => write!(
+                f,
+                "accel_z_m_s2 is {z:.2} on average where z is up and gravity reads +9.8: exchange the axes so that z is the \
+                 rotor's axis, and set that upright"
+            ),
+            Self::GyroUnit(rate) => write!(
+                f,
+                "the gyros read up to {rate:.3e} where no sensor reads more than a hundred rad/s: convert them to rad/s \
+                 (degrees/s times 0.0174533, mrad/s times 0.001)"
+            ),
             Self::GyroDegrees(ratio) => write!(
                 f,
                 "gyro_z_rad_s is {ratio:.1} times the encoder's rate: the gyros look like °/s, multiply by 0.0174533"
@@ -257,14 +363,25 @@ impl core::fmt::Display for LogProblem {
                 "gyro_z_rad_s and encoder_rad turn in opposite directions: both are positive counter-clockwise from \
                  above, change the sign of the wrong one",
             ),
+            Self::Mismatch(ratio) => {
+                let digits = if ratio.abs() < 0.1 { 5 } else { 2 };
+                write!(
+                    f,
+                    "gyro_z_rad_s is {ratio:.digits$} times the encoder's rate, which must be 1: {}",
+                    cause(*ratio)
+                )
+            }
+            Self::EncoderHeld { rows, behind } => write!(
+                f,
+                "encoder_rad repeats each angle for {rows:.1} rows while gyro z turns, which leaves it {:.2} degrees behind: \
+                 read the encoder with each sample of the IMU, or interpolate its angles between the rows where they change",
+                behind / frames::units::DEG
+            ),
             Self::EncoderStuck { at, turned, seconds } => write!(
                 f,
                 "encoder_rad stands still at {at:.4} while gyro z turned by {turned:.2} rad in {seconds:.0} s: the \
                  encoder is stuck or not connected"
             ),
-            Self::NoRotation => {
-                f.write_str("encoder_rad never turned: the rotor stood still, or the encoder was not connected")
-            }
             Self::GyroStuck {
                 column,
                 value,
@@ -423,7 +540,10 @@ impl<W: Write> LogWriter<W> {
             "{t_s},{wx:.11e},{wy:.11e},{wz:.11e},{fx:.11e},{fy:.11e},{fz:.11e},{encoder:.11e}"
         )?;
         if self.temperature {
-            write!(self.out, ",{:.3}", temperature_c.unwrap_or_default())?;
+            match temperature_c {
+                Some(temperature_c) => write!(self.out, ",{temperature_c:.3}")?,
+                None => write!(self.out, ",")?,
+            }
         }
         writeln!(self.out)
     }
@@ -481,6 +601,20 @@ impl LogError {
     }
 }
 
+/// Whether text begins in two bytes a character: by its mark, or by every second byte of it.
+fn is_utf16(start: &[u8]) -> bool {
+    let wide = |zero: usize| {
+        let first = start.first_chunk::<8>();
+        first.is_some_and(|first| {
+            first
+                .iter()
+                .enumerate()
+                .all(|(k, byte)| (k % 2 == zero) == (*byte == 0))
+        })
+    };
+    start.starts_with(b"\xff\xfe") || start.starts_with(b"\xfe\xff") || wide(0) || wide(1)
+}
+
 impl<R: BufRead> LogReader<R> {
     /// Reads the header from `input`; `file_name` is for messages.
     ///
@@ -491,6 +625,13 @@ impl<R: BufRead> LogReader<R> {
         let looked = (&mut input).take(LOOK as u64).read_to_end(&mut start);
         looked.map_err(|error| LogError::cannot_read(file_name, &error))?;
         let binary = binary::is_recording(&start);
+        if !binary && is_utf16(&start) {
+            return Err(LogError {
+                file: file_name.to_owned(),
+                at: None,
+                problem: LogProblem::Utf16,
+            });
+        }
         let whole = Cursor::new(start).chain(input);
         Ok(Self(if binary {
             Source::Binary(Box::new(binary::Reader::new(whole, file_name)?))
@@ -507,8 +648,8 @@ impl<R: BufRead> LogReader<R> {
         }
     }
 
-    /// The interval that rows should have, s: the median at the start of a CSV, the first of a recording; `None` before
-    /// the first row was asked for.
+    /// The interval that rows should have, s: of a CSV by the rows against the time they take, the first of a recording;
+    /// `None` before the first row was asked for.
     pub fn nominal_dt_s(&self) -> Option<f64> {
         match &self.0 {
             Source::Csv(reader) => reader.nominal_dt_s(),
@@ -541,10 +682,17 @@ impl<R: BufRead> LogReader<R> {
         }
     }
 
-    /// The same as warnings.
+    /// The same as warnings; of a CSV, what was doubtful about its times and bytes so far.
     pub fn warnings(&self) -> Vec<LogWarning> {
-        self.loss()
-            .map_or_else(Vec::new, |loss| loss.warnings(self.file_name()))
+        match &self.0 {
+            Source::Csv(reader) => reader.warnings(),
+            Source::Binary(reader) => reader.loss().warnings(reader.file_name()),
+        }
+    }
+
+    /// Whether a CSV has a column for the temperature, filled or not.
+    fn has_temperature(&self) -> bool {
+        matches!(&self.0, Source::Csv(reader) if reader.has_temperature())
     }
 }
 
@@ -628,11 +776,14 @@ pub fn convert_from<R: BufRead>(
     not_itself(from, to)?;
     let mut out: Option<LogWriter<_>> = None;
     let mut rows = 0;
-    for row in reader {
+    while let Some(row) = reader.next() {
         let row = row?;
         let out = match &mut out {
             Some(out) => out,
-            none => none.insert(LogWriter::create(to, row.temperature_c.is_some()).map_err(failed)?),
+            none => {
+                let temperature = row.temperature_c.is_some() || reader.has_temperature();
+                none.insert(LogWriter::create(to, temperature).map_err(failed)?)
+            }
         };
         let Sample { dtheta_s, dv_s, dt, .. } = sample(&row);
         out.write(row.t_s, dt, dtheta_s, dv_s, row.encoder, row.temperature_c)

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use app::parts;
 use app::record::Taken;
+use frames::math::wrap_pi;
 use frames::units::{DEG, DEG_PER_SQRT_HOUR, MICRO_G_PER_SQRT_HZ};
 use nav::aligner::{Aligner, AlignerError, Event};
 use nav::model::{PAPER, ROBUST};
@@ -14,6 +15,9 @@ use serde::Serialize;
 use crate::align::{self, Method, Reading, Setup};
 use crate::log::{Checker, Header, LogError, LogReader, LogRow, LogWarning, UnitStatus};
 use crate::unit::Unit;
+
+/// Angles of the encoder beyond this are wrapped, rad: up to there an f32 is good to 4e-6 rad.
+const UNWRAPPED: f64 = 64.0;
 
 /// Why a log cannot be replayed.
 #[derive(Debug, Clone, PartialEq)]
@@ -167,6 +171,41 @@ pub fn measured<R: BufRead>(mut log: LogReader<R>) -> Unit {
     }
 }
 
+/// What the steps of a log's figures alone make of white noise, in the units of [`Unit`]: (°/√h, µg/√Hz).
+///
+/// A step q has the variance q²/12 in each row. A sensor that carries what it rounds off to the next row has less: this is
+/// the most. Of a log in full digits it is nothing.
+pub fn quantisation<R: BufRead>(log: &mut LogReader<R>) -> (f64, f64) {
+    let mut steps = [f64::INFINITY; 6];
+    let mut before: Option<[f64; 6]> = None;
+    let mut dt_s = 0.0;
+    for row in log.by_ref().take(MEASURED_ROWS) {
+        let Ok(row) = row else { break };
+        let ([a, b, c], [d, e, f]) = (row.w_is_s.to_array(), row.f_is_s.to_array());
+        let now = [a, b, c, d, e, f];
+        if let Some(before) = before {
+            for ((step, now), before) in steps.iter_mut().zip(now).zip(before) {
+                let far = (now - before).abs();
+                // Half a step apart are the digits of a text.
+                if far > 1e-9 {
+                    *step = step.min(far);
+                }
+            }
+        }
+        before = Some(now);
+        dt_s = row.sample().dt;
+    }
+    let of = |steps: &[f64], unit: f64| {
+        let largest = steps
+            .iter()
+            .copied()
+            .filter(|step| step.is_finite())
+            .fold(0.0, f64::max);
+        largest / 12_f64.sqrt() * dt_s.sqrt() / unit
+    };
+    (of(&steps[..3], DEG_PER_SQRT_HOUR), of(&steps[3..], MICRO_G_PER_SQRT_HZ))
+}
+
 /// Streams a log through the aligner.
 ///
 /// # Errors
@@ -233,8 +272,15 @@ fn replay_with<const B: usize, R: BufRead>(
                 setup = now;
             }
         }
+        // Turns that were counted from far away leave an f32 no digits for the angle. Near zero the bits stay as they were
+        // recorded.
+        let encoder = if row.encoder.abs() > UNWRAPPED {
+            wrap_pi(row.encoder)
+        } else {
+            row.encoder
+        };
         #[expect(clippy::cast_possible_truncation, reason = "the core runs in f32")]
-        if let Some(event) = aligner.step(&align::cast(&row.sample()), row.encoder as f32) {
+        if let Some(event) = aligner.step(&align::cast(&row.sample()), encoder as f32) {
             observer.event(t_s, &event);
             if let Event::Restarted(_) = event {
                 rejected = Some(align::describe(&event));

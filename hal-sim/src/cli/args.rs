@@ -64,6 +64,9 @@ pub(super) enum Command {
         /// CSV to write
         csv: PathBuf,
     },
+    /// Turn the log of an IMU at rest as a rotor would: what the method would make of a part that has none
+    #[command(after_help = help::TURN)]
+    Turn(TurnArgs),
     /// Reproduce the papers' tables and figures: what is published beside ours
     #[command(after_help = help::REPRODUCE)]
     Reproduce(ReproduceArgs),
@@ -329,6 +332,24 @@ pub(super) struct CalibrateArgs {
 }
 
 #[derive(Args)]
+pub(super) struct TurnArgs {
+    /// CSV log of an IMU at rest, as for `replay`
+    pub(super) log: PathBuf,
+    /// Rate of the rotor, °/s
+    #[arg(long, value_name = "DPS", default_value_t = 20.0, value_parser = positive)]
+    pub(super) rate: f64,
+    /// Angle from one turning point to the other, degrees
+    #[arg(long, value_name = "DEG", default_value_t = 360.0, value_parser = positive)]
+    pub(super) travel: f64,
+    /// Acceleration at the turning points, degrees/s²
+    #[arg(long, value_name = "A", default_value_t = 200.0, value_parser = positive)]
+    pub(super) acceleration: f64,
+    /// CSV to write
+    #[arg(long, short, value_name = "FILE")]
+    pub(super) out: PathBuf,
+}
+
+#[derive(Args)]
 pub(super) struct ReproduceArgs {
     /// What to reproduce: a name, or a paper's short name for all of the paper (without any: lists them)
     #[arg(value_name = "NAME", conflicts_with = "all")]
@@ -390,6 +411,11 @@ fn speed(text: &str) -> Result<f64, String> {
 fn hours(text: &str) -> Result<f64, String> {
     let hours = text.parse().ok().filter(|hours| (0.1..=10_000.0).contains(hours));
     hours.ok_or_else(|| "expected hours from 0.1 to 10000".to_owned())
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number| (0.001..=1e6).contains(number));
+    number.ok_or_else(|| "expected a number above 0".to_owned())
 }
 
 fn seconds(text: &str) -> Result<f64, String> {

@@ -40,7 +40,7 @@ Examples:
   hal-sim bound --seconds 3600 --velocity-sd 0.001";
 
 pub(super) const REPLAY: &str = "\
-Prints what happens, then heading, pitch and roll (°) with σ, and the biases found. Writes no file. Exit code 0 where the
+Prints what happens, then heading, pitch and roll (°) with σ, and the biases found. Writes no file. A log that cannot be true is refused, with the likely cause: unit, sign, encoder. Exit code 0 where the
 log's end finds it aligned.
 
 Examples:
@@ -101,6 +101,14 @@ Writes the CSV and says how many rows it has.
 
 Examples:
   hal-sim convert LOG.bin LOG.csv";
+
+pub(super) const TURN: &str = "\
+Writes the CSV and says how many rows it has. A bias of the log cannot be told from Earth's rate: it is turned as well, and
+goes into heading as it does at rest. What the rotor's rate does to a gyro is not in it.
+
+Examples:
+  hal-sim turn REST.csv -o TURNED.csv
+  hal-sim turn REST.csv --rate 10 -o TURNED.csv   then: hal-sim replay TURNED.csv --latitude-deg 40";
 
 pub(super) const REPRODUCE: &str = "\
 Prints every published figure beside ours, and the verdict. Writes report/reproduce/: report.html, and of each its curves as

@@ -39,6 +39,8 @@ const STATUSES: usize = 100;
 const CLOCK_US: u64 = 1_000_000_000_000_000;
 /// Shortest interval that can be, s.
 const SHORTEST: f32 = 1e-5;
+/// Largest angle of the rotor that can be, rad.
+const ANGLE_LIMIT: f32 = 1e7;
 /// Bytes of the six figures of the noise that version 1 of a header lacks.
 const SINCE_VERSION_2: usize = 24;
 /// Interval where neither a sample nor the header says it, s.
@@ -669,7 +671,7 @@ impl<R: BufRead> Reader<R> {
             dt: self.dt,
             gap: sample.gap,
         };
-        if !(increments.is_valid() && increments.dt >= SHORTEST && f64::from(alpha.abs()) <= LIMITS[7]) {
+        if !(increments.is_valid() && increments.dt >= SHORTEST && alpha.abs() <= ANGLE_LIMIT) {
             self.scanner.loss.add(Lost::Impossible, 1, at);
             return None;
         }

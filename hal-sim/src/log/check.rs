@@ -2,9 +2,7 @@
 //!
 //! What makes every result wrong is an error, what makes it worse is a warning. A verdict falls at the end of a
 //! window, so that one odd row decides nothing: accelerometers over [`UNIT_WINDOW`], gyro z against the encoder over
-//! each [`ROTOR_WINDOW`].
-
-use frames::math::wrap_pi;
+//! each [`ROTOR_WINDOW`] and over the whole.
 
 use super::{COLUMNS, LogError, LogProblem, LogRow, Lost, Place};
 
@@ -17,10 +15,28 @@ const STILL: f64 = 0.05;
 /// What gyro z must have turned in a window for a still encoder to be called stuck, rad. A swing of 10° turns by less
 /// than 0.35.
 const TURNED: f64 = 0.6;
-/// Slower than this the rotor rests, rad/s.
-const SLOW: f64 = 0.02;
+/// Time over which the rows of a window are taken together, s: a coarse encoder has counted by then.
+const BLOCK: f64 = 0.2;
+/// Blocks in which the rotor turned less than this part of the fastest ones do not tell a ratio.
+const SLOW: f64 = 0.2;
+/// A step of the encoder so many times the usual one is a wrap, or a reading gone wrong.
+const WRAP: f64 = 5.0;
+/// Most rows of a window that are kept; at the highest rate they are a part of it.
+const MOST_ROWS: usize = 1 << 17;
+/// No base turns so fast that gyro z reads so many times the encoder's rate, or that part of it; in one window, and in two.
+const GROSS: f64 = 5.0;
+const LARGE: f64 = 2.0;
+/// The same over the log, and over this time of turning at least, s.
+const LOG_RATIO: f64 = 0.15;
+const LOG_TURNING: f64 = 30.0;
+/// Ratios of two windows that are the same, as a part.
+const SAME: f64 = 0.1;
+/// Angles that are held may be this far behind on average, rad: a tenth of a degree goes into heading as it is.
+const BEHIND: f64 = 1.75e-3;
 /// No rotor of this kind turns faster, rad/s (460 °/s); in degrees it is 8 °/s.
 const FAST: f64 = 8.0;
+/// No sensor reads more, rad/s; the aligner takes no more.
+const ANY_RATE: f64 = nav::increment::MAX_RATE;
 /// Degrees in a radian.
 const DEGREES: f64 = 180.0 / core::f64::consts::PI;
 
@@ -32,6 +48,13 @@ const LIVE_GAIN: f64 = 1.0 / 64.0;
 /// The step into a run of equal values must be so many times the smallest ever seen: at the crest of a slow swing a
 /// coarse sensor repeats itself too, but enters by one count.
 const STUCK_STEP: f64 = 3.0;
+/// A value that is among the last rows so many times is one of the few of a coarse sensor: to repeat it for long is quantisation, …
+const USUAL: usize = 4;
+/// … but for so many rows and so long, s.
+const USUAL_ROWS: u32 = 200;
+const USUAL_TIME: f64 = 2.0;
+/// An axis points up where gravity on it is more than this part of the whole: it leans by less than 60 degrees.
+const UPRIGHT: f64 = 0.5;
 
 /// Ranges of the mean norm of the accelerometers with the unit they betray, and the factor to m/s².
 const ACCEL_UNITS: [(f64, f64, &str, f64); 4] = [
@@ -68,6 +91,31 @@ pub enum WarningKind {
     },
     /// Gyro z does not follow the encoder: their ratio.
     Mismatch(f64),
+    /// The encoder never turned, and gyro z neither.
+    Still,
+    /// The stamps are off an even spacing: rows have been spaced anew.
+    Jitter {
+        /// Rows with such stamps.
+        rows: u64,
+        /// How far the worst is off, s.
+        largest_s: f64,
+        /// The interval of the rows, s.
+        nominal_s: f64,
+    },
+    /// The log begins with rows whose times are not those of the rest: they are left out.
+    Start {
+        /// How many.
+        rows: u64,
+        /// Their mean interval, s.
+        interval_s: f64,
+        /// That of the rest, s.
+        nominal_s: f64,
+    },
+    /// NUL bytes between or after the rows.
+    Nul {
+        /// How many.
+        bytes: u64,
+    },
     /// Of a recording, something is lost or of no use.
     Lost {
         /// What.
@@ -123,6 +171,35 @@ impl core::fmt::Display for LogWarning {
                 "gyro_z_rad_s is {ratio:.2} times the encoder's rate over {ROTOR_WINDOW} s from here: one of them is \
                  wrong, or the base turned"
             ),
+            WarningKind::Still => f.write_str(
+                "encoder_rad never turned: with the rotor at rest gyro biases go into heading in full, and σ says how far",
+            ),
+            WarningKind::Jitter {
+                rows,
+                largest_s,
+                nominal_s,
+            } => write!(
+                f,
+                "t_s jitters: {rows} {} up to {:.2} ms off an even spacing of {:.4} ms, by which the rows are spaced anew; \
+                 the first is here",
+                if rows == 1 { "row" } else { "rows" },
+                largest_s * 1e3,
+                nominal_s * 1e3
+            ),
+            WarningKind::Start {
+                rows,
+                interval_s,
+                nominal_s,
+            } => write!(
+                f,
+                "t_s begins with {rows} rows {:.3} ms apart where the rest has {:.4} ms: they are left out",
+                interval_s * 1e3,
+                nominal_s * 1e3
+            ),
+            WarningKind::Nul { bytes } => write!(
+                f,
+                "{bytes} NUL bytes from here, as a power cut leaves them: the rows around them are used"
+            ),
         }
     }
 }
@@ -142,6 +219,9 @@ struct Channel {
     step: f64,
     least_step: f64,
     largest: f64,
+    /// The values before, each run of equal ones once.
+    recent: [f64; 64],
+    rows: usize,
 }
 
 impl Channel {
@@ -156,6 +236,8 @@ impl Channel {
             step: 0.0,
             least_step: f64::INFINITY,
             largest: 0.0,
+            recent: [f64::NAN; 64],
+            rows: 0,
         }
     }
 
@@ -170,6 +252,8 @@ impl Channel {
                 self.least_step = self.least_step.min(self.step);
             }
             self.largest = self.largest.max(value.abs());
+            self.recent[self.rows % 64] = self.last;
+            self.rows += 1;
             self.last = value;
             self.run = 0;
             self.run_at = at;
@@ -181,7 +265,9 @@ impl Channel {
         if self.live_before < LIVE {
             return None;
         }
-        let sure = self.step > STUCK_STEP * self.least_step;
+        let usual = self.recent.iter().filter(|recent| **recent == value).count() >= USUAL;
+        let sure = self.step > STUCK_STEP * self.least_step
+            && (!usual || (self.run >= USUAL_ROWS && t_s - self.run_start_s >= USUAL_TIME));
         // Once a run: the live part is spent with the verdict.
         let verdict = if sure && self.run >= STUCK_ROWS {
             Some(true)
@@ -202,19 +288,33 @@ impl Channel {
 }
 
 /// Gyro z and encoder over one window.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 struct RotorWindow {
     start_s: f64,
     at: Place,
     lowest: f64,
     highest: f64,
-    /// ∫ω_z sign α̇ dt, ∫ω_z dt, ∫|α̇| dt.
-    along: f64,
+    /// ∫ω_z dt, and the time, s.
     gyro: f64,
-    path: f64,
-    /// Time, and the part of it the rotor turned, s.
     time: f64,
-    turning: f64,
+    /// Of each row: how far the encoder went as it reads, what gyro z turned by, and the interval.
+    rows: Vec<(f64, f64, f64)>,
+}
+
+/// What gyro z and encoder say of each other.
+#[derive(Debug, Clone, Copy, Default)]
+struct Turning {
+    /// What gyro z turned by in the encoder's direction, and how far that went as it reads.
+    along: f64,
+    path: f64,
+    /// Time of turning, s.
+    time: f64,
+}
+
+impl Turning {
+    fn ratio(&self) -> f64 {
+        self.along / self.path
+    }
 }
 
 impl RotorWindow {
@@ -224,31 +324,95 @@ impl RotorWindow {
             at: row.at,
             lowest: row.encoder,
             highest: row.encoder,
-            along: 0.0,
             gyro: 0.0,
-            path: 0.0,
             time: 0.0,
-            turning: 0.0,
+            rows: Vec::new(),
         }
     }
 
     fn push(&mut self, row: &LogRow, previous: &LogRow) {
         self.lowest = self.lowest.min(row.encoder);
         self.highest = self.highest.max(row.encoder);
-        // An absolute encoder may wrap; one in degrees goes less than half a turn of radians from row to row.
-        let turned = wrap_pi(row.encoder - previous.encoder);
-        let (gyro, rate) = (row.w_is_s.z(), turned / row.dt_s);
-        self.gyro += gyro * row.dt_s;
-        self.path += turned.abs();
+        let gyro = row.w_is_s.z() * row.dt_s;
+        self.gyro += gyro;
         self.time += row.dt_s;
-        if rate.abs() > SLOW {
-            self.along += gyro * row.dt_s * rate.signum();
-            self.turning += row.dt_s;
+        if self.rows.len() < MOST_ROWS {
+            self.rows.push((row.encoder - previous.encoder, gyro, row.dt_s));
         }
     }
 
     fn still(&self) -> bool {
         self.highest - self.lowest < STILL
+    }
+
+    /// The largest step of the encoder that is no wrap.
+    fn largest_step(&self) -> f64 {
+        let mut steps: Vec<f64> = self
+            .rows
+            .iter()
+            .map(|row| row.0.abs())
+            .filter(|step| *step > 0.0)
+            .collect();
+        let most = steps.len() * 4 / 5;
+        if most > 0 {
+            steps.select_nth_unstable_by(most, f64::total_cmp);
+        }
+        let few = &steps[..most.max(1).min(steps.len())];
+        WRAP * few.iter().sum::<f64>() / few.len().max(1) as f64
+    }
+
+    /// Gyro z against the encoder where the rotor turns. What the base turns besides averages out.
+    fn turning(&self) -> Turning {
+        let largest = self.largest_step();
+        let mut blocks: Vec<(f64, f64, f64)> = Vec::new();
+        let mut block = (0.0, 0.0, 0.0);
+        for (step, gyro, dt) in &self.rows {
+            if step.abs() > largest {
+                continue;
+            }
+            block = (block.0 + step, block.1 + gyro, block.2 + dt);
+            if block.2 >= BLOCK {
+                blocks.push(block);
+                block = (0.0, 0.0, 0.0);
+            }
+        }
+        let mut speeds: Vec<f64> = blocks.iter().map(|block| block.0.abs() / block.2).collect();
+        let fast = speeds.len() * 9 / 10;
+        if speeds.is_empty() {
+            return Turning::default();
+        }
+        let fast = *speeds.select_nth_unstable_by(fast, f64::total_cmp).1;
+        blocks
+            .iter()
+            .filter(|block| block.0.abs() / block.2 > SLOW * fast)
+            .fold(Turning::default(), |sum, block| Turning {
+                along: sum.along + block.1 * block.0.signum(),
+                path: sum.path + block.0.abs(),
+                time: sum.time + block.2,
+            })
+    }
+
+    /// For how many rows each angle is held, and how far that leaves it behind on average, rad. An encoder of few counts
+    /// repeats itself as well; its steps are a turn over a power of two.
+    fn held(&self) -> Option<(f64, f64)> {
+        let largest = self.largest_step();
+        let mut steps: Vec<f64> = self
+            .rows
+            .iter()
+            .map(|row| row.0.abs())
+            .filter(|step| *step > 0.0 && *step <= largest)
+            .collect();
+        if steps.is_empty() {
+            return None;
+        }
+        let path: f64 = steps.iter().sum();
+        let (changes, middle) = (steps.len() as f64, steps.len() / 2);
+        let step = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let bits = (core::f64::consts::TAU / step).log2();
+        let count = (bits - bits.round()).abs() < 0.005;
+        let rows = self.rows.len() as f64 / changes;
+        let behind = 0.5 * (path / changes - path / self.rows.len() as f64);
+        (rows > 1.6 && behind > BEHIND && !count).then_some((rows, behind))
     }
 }
 
@@ -259,12 +423,18 @@ pub struct Checker {
     first: Option<LogRow>,
     previous: Option<LogRow>,
     rows: u64,
-    /// Sum of the accelerometers' norms; `None` after the verdict.
-    norms: Option<(f64, u64)>,
+    /// Sums of the accelerometers' norms and z; `None` after the verdict.
+    norms: Option<(f64, f64, u64)>,
+    /// Rows with rates beyond any sensor, and the largest rate.
+    beyond: (u64, f64),
     channels: [Channel; 6],
     window: Option<RotorWindow>,
     judged: bool,
     turned: bool,
+    /// The ratio of the window before, where it did not fit.
+    mismatch: Option<f64>,
+    /// Gyro z against the encoder over the log.
+    turning: Turning,
     warnings: Vec<LogWarning>,
 }
 
@@ -276,11 +446,14 @@ impl Checker {
             first: None,
             previous: None,
             rows: 0,
-            norms: Some((0.0, 0)),
+            norms: Some((0.0, 0.0, 0)),
+            beyond: (0, 0.0),
             channels: [Channel::new(); 6],
             window: None,
             judged: false,
             turned: false,
+            mismatch: None,
+            turning: Turning::default(),
             warnings: Vec::new(),
         }
     }
@@ -312,12 +485,14 @@ impl Checker {
         self.note_gap(row);
         self.judge_channels(row)?;
 
-        if let Some((sum, count)) = &mut self.norms {
+        if let Some((sum, z, count)) = &mut self.norms {
             *sum += row.f_is_s.norm();
+            *z += row.f_is_s.z();
             *count += 1;
         }
-        if row.t_s - first.t_s >= UNIT_WINDOW {
-            self.judge_accelerometers(first.at)?;
+        let rate = row.w_is_s.norm();
+        if rate > ANY_RATE {
+            self.beyond = (self.beyond.0 + 1, self.beyond.1.max(rate));
         }
 
         let window = self.window.get_or_insert_with(|| RotorWindow::new(row));
@@ -326,10 +501,14 @@ impl Checker {
         {
             window.push(row, &previous);
         }
-        if row.t_s - window.start_s >= ROTOR_WINDOW {
-            let window = *window;
+        if row.t_s - first.t_s >= UNIT_WINDOW {
+            self.judge_units(first.at)?;
+        }
+        let over = |window: &mut RotorWindow| row.t_s - window.start_s >= ROTOR_WINDOW;
+        if let Some(window) = self.window.take_if(over) {
             self.window = Some(RotorWindow::new(row));
             self.judge_rotor(&window)?;
+            self.judge_rates(first.at)?;
         }
         Ok(())
     }
@@ -346,13 +525,19 @@ impl Checker {
                 problem: LogProblem::NoRows,
             });
         };
-        self.judge_accelerometers(first.at)?;
+        self.judge_units(first.at)?;
         // A rest of a window tells little; but a short log has nothing else.
-        if let Some(window) = self.window.filter(|window| !self.judged && window.time >= 1.0) {
+        if let Some(window) = self.window.take().filter(|window| !self.judged && window.time >= 1.0) {
             self.judge_rotor(&window)?;
         }
+        self.judge_rates(first.at)?;
+        self.judge_log(first.at)?;
         if !self.turned {
-            return Err(self.error(last.at, LogProblem::NoRotation));
+            self.warnings.push(LogWarning {
+                file: self.file,
+                at: last.at,
+                kind: WarningKind::Still,
+            });
         }
         Ok(self.warnings)
     }
@@ -382,6 +567,15 @@ impl Checker {
                 longest_s: row.dt_s,
             },
         });
+    }
+
+    /// One odd row is the aligner's matter; most of them are a unit.
+    fn judge_rates(&self, at: Place) -> Result<(), LogError> {
+        let (beyond, largest) = self.beyond;
+        if 2 * beyond > self.rows {
+            return Err(self.error(at, LogProblem::GyroUnit(largest)));
+        }
+        Ok(())
     }
 
     fn judge_channels(&mut self, row: &LogRow) -> Result<(), LogError> {
@@ -423,13 +617,18 @@ impl Checker {
         Ok(())
     }
 
-    fn judge_accelerometers(&mut self, at: Place) -> Result<(), LogError> {
-        let Some((sum, count)) = self.norms.take() else {
+    fn judge_units(&mut self, at: Place) -> Result<(), LogError> {
+        let Some((sum, z, count)) = self.norms.take() else {
             return Ok(());
         };
         let mean = sum / count as f64;
         if GRAVITY.contains(&mean) {
-            return Ok(());
+            let z = z / count as f64;
+            return if z < UPRIGHT * mean {
+                Err(self.error(at, LogProblem::AccelAxes(z)))
+            } else {
+                Ok(())
+            };
         }
         let unit = ACCEL_UNITS.iter().find(|(low, high, ..)| (*low..*high).contains(&mean));
         Err(self.error(
@@ -466,32 +665,48 @@ impl Checker {
             return Ok(());
         }
         self.turned = true;
-        let rate = window.path / window.time;
-        if rate > FAST {
-            return Err(self.error(at, LogProblem::EncoderDegrees(rate)));
-        }
-        if window.turning < 0.5 * window.time {
+        let turning = window.turning();
+        if turning.time < 0.5 * window.time || turning.path <= 0.0 {
             return Ok(());
         }
-        // What the base turns besides averages out, and one glitch of the encoder counts for no more than its size.
-        let ratio = window.along / window.path;
+        let (ratio, rate) = (turning.ratio(), turning.path / turning.time);
         let near = |expected: f64| (ratio / expected - 1.0).abs() < 0.3;
-        if near(DEGREES) || near(-DEGREES) {
-            Err(self.error(at, LogProblem::GyroDegrees(ratio)))
-        } else if near(1.0 / DEGREES) || near(-1.0 / DEGREES) {
-            Err(self.error(at, LogProblem::EncoderDegrees(rate)))
+        let fits = |largest: f64| (largest.recip()..=largest).contains(&ratio);
+        let mismatch = self.mismatch.take();
+        if near(1.0 / DEGREES) || near(-1.0 / DEGREES) || (fits(LARGE) && rate > FAST) {
+            return Err(self.error(at, LogProblem::EncoderDegrees(rate)));
+        } else if near(DEGREES) || near(-DEGREES) {
+            return Err(self.error(at, LogProblem::GyroDegrees(ratio)));
         } else if near(-1.0) {
-            Err(self.error(at, LogProblem::Opposite))
-        } else {
-            let noted = self.warnings.iter().any(|w| matches!(w.kind, WarningKind::Mismatch(_)));
-            if !(0.5..=2.0).contains(&ratio) && !noted {
+            return Err(self.error(at, LogProblem::Opposite));
+        } else if !fits(GROSS) || mismatch.is_some_and(|before| (ratio / before - 1.0).abs() < SAME) {
+            return Err(self.error(at, LogProblem::Mismatch(ratio)));
+        }
+        if let Some((rows, behind)) = window.held() {
+            return Err(self.error(at, LogProblem::EncoderHeld { rows, behind }));
+        }
+        self.turning.along += turning.along;
+        self.turning.path += turning.path;
+        self.turning.time += turning.time;
+        if !fits(LARGE) {
+            self.mismatch = Some(ratio);
+            if !self.warnings.iter().any(|w| matches!(w.kind, WarningKind::Mismatch(_))) {
                 self.warnings.push(LogWarning {
                     file: self.file.clone(),
                     at,
                     kind: WarningKind::Mismatch(ratio),
                 });
             }
-            Ok(())
         }
+        Ok(())
+    }
+
+    /// Over the log what a base turns averages out: a ratio that is not one is a scale, or a gear.
+    fn judge_log(&self, at: Place) -> Result<(), LogError> {
+        let ratio = self.turning.ratio();
+        if self.turning.time > LOG_TURNING && (ratio - 1.0).abs() > LOG_RATIO {
+            return Err(self.error(at, LogProblem::Mismatch(ratio)));
+        }
+        Ok(())
     }
 }

@@ -5,20 +5,25 @@ use std::io::{self, BufRead};
 
 use frames::Vec3;
 
-use super::{COLUMNS, Gap, LIMITS, LogError, LogProblem, LogRow, MAX_LINE, Place, TEMPERATURE, shorten};
+use super::time::{Clock, Stamp, WINDOW, When};
+use super::{
+    COLUMNS, LIMITS, LogError, LogProblem, LogRow, LogWarning, MAX_LINE, Place, TEMPERATURE, WarningKind, shorten,
+};
 
-/// An interval this many times the nominal one has rows missing.
-const GAP_FACTOR: f64 = 1.5;
-
-/// The nominal interval is the median of the intervals between this many rows at the start.
-const LOOK_AHEAD: usize = 33;
+/// What may stand between the fields, besides blanks.
+const SEPARATORS: [char; 4] = [',', ';', '\t', '|'];
+/// Words for no value in a column that a log need not have.
+const NOTHING: [&str; 6] = ["", "nan", "na", "n/a", "null", "-"];
 
 /// How a line ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Line {
     /// By a line feed.
     Complete,
     /// By the end of the file.
     Unterminated,
+    /// By NUL bytes, which a system that lost its power leaves where it had not written yet.
+    Cut,
     /// There was none.
     End,
 }
@@ -27,14 +32,10 @@ enum Line {
 #[derive(Debug, Clone, Copy)]
 struct RawRow {
     line: u64,
-    /// [`COLUMNS`], then temperature.
+    /// [`COLUMNS`], then temperature, NaN where there is none.
     values: [f64; 9],
-}
-
-impl RawRow {
-    fn t_s(&self) -> f64 {
-        self.values[0]
-    }
+    /// Whether all but the time is as in the row before.
+    repeated: bool,
 }
 
 /// How the numbers of the last column are written: decimals, and whether an exponent follows. A last line that has no
@@ -49,7 +50,7 @@ enum Spelling {
 impl Spelling {
     fn of(number: &str) -> Self {
         let decimals = number
-            .split_once('.')
+            .split_once(['.', ','])
             .map_or(0, |(_, rest)| rest.bytes().take_while(u8::is_ascii_digit).count());
         Self::Always(decimals, number.contains(['e', 'E']))
     }
@@ -76,15 +77,20 @@ pub(super) struct Reader<R: BufRead> {
     buffer: Vec<u8>,
     /// For each field of a row, its place in [`RawRow::values`]; `None` for columns that are ignored.
     fields: Vec<Option<usize>>,
-    has_temperature: bool,
+    /// What stands between fields; a blank: any number of them.
+    separator: char,
     spelling: Spelling,
-    previous_t: Option<f64>,
-    /// Rows read ahead to find the nominal interval.
-    ahead: VecDeque<Result<RawRow, LogError>>,
-    nominal: Option<f64>,
-    /// Time of the row given last.
-    given_t: Option<f64>,
-    done: bool,
+    previous: Option<[f64; 9]>,
+    /// Rows read ahead to find their times, …
+    ahead: VecDeque<RawRow>,
+    /// … the times of the first of them, …
+    times: VecDeque<When>,
+    /// … and what comes after the last.
+    failed: Option<LogError>,
+    clock: Clock,
+    ended: bool,
+    /// NUL bytes, and the line of the first.
+    nul: Option<(u64, u64)>,
 }
 
 impl<R: BufRead> Reader<R> {
@@ -99,13 +105,15 @@ impl<R: BufRead> Reader<R> {
             line: 0,
             buffer: Vec::with_capacity(256),
             fields: Vec::new(),
-            has_temperature: false,
+            separator: ',',
             spelling: Spelling::Unknown,
-            previous_t: None,
-            ahead: VecDeque::with_capacity(LOOK_AHEAD),
-            nominal: None,
-            given_t: None,
-            done: false,
+            previous: None,
+            ahead: VecDeque::new(),
+            times: VecDeque::new(),
+            failed: None,
+            clock: Clock::default(),
+            ended: false,
+            nul: None,
         };
         reader.header()?;
         Ok(reader)
@@ -116,9 +124,26 @@ impl<R: BufRead> Reader<R> {
         &self.file
     }
 
-    /// The median interval at the start of the log, s; `None` before the first row was asked for.
+    /// The interval of the rows, s; `None` before the first row was asked for.
     pub(super) fn nominal_dt_s(&self) -> Option<f64> {
-        self.nominal
+        self.clock.interval()
+    }
+
+    /// Whether there is a column for the temperature.
+    pub(super) fn has_temperature(&self) -> bool {
+        self.fields.contains(&Some(COLUMNS.len()))
+    }
+
+    /// What was doubtful so far.
+    pub(super) fn warnings(&self) -> Vec<LogWarning> {
+        let nul = self.nul.map(|(bytes, line)| LogWarning {
+            file: self.file.clone(),
+            at: Place::Line(line),
+            kind: WarningKind::Nul { bytes },
+        });
+        let mut warnings = self.clock.warnings(&self.file);
+        warnings.extend(nul);
+        warnings
     }
 
     fn error(&self, problem: LogProblem) -> LogError {
@@ -129,7 +154,8 @@ impl<R: BufRead> Reader<R> {
         }
     }
 
-    /// Reads the next line that is not blank into the buffer, without its end.
+    /// Reads the next line that is neither blank nor a comment into the buffer, without its end. In the header nothing is
+    /// a comment: some write it as one.
     fn read_line(&mut self) -> Result<Line, LogError> {
         loop {
             self.buffer.clear();
@@ -147,8 +173,12 @@ impl<R: BufRead> Reader<R> {
                     self.line += 1;
                     ended = Line::Unterminated;
                 }
-                let feed = chunk.iter().position(|byte| *byte == b'\n');
+                // Before there is a header, NUL is what no text has.
+                let in_rows = !self.fields.is_empty();
+                let end = |byte: &u8| *byte == b'\n' || (in_rows && *byte == 0);
+                let feed = chunk.iter().position(end);
                 let take = feed.unwrap_or(chunk.len());
+                let cut = feed.is_some_and(|at| chunk[at] == 0);
                 if self.buffer.len() + take > MAX_LINE {
                     // A compressed file has no lines either, and deserves the better message.
                     self.buffer.extend(chunk.iter().take(2));
@@ -156,6 +186,18 @@ impl<R: BufRead> Reader<R> {
                 }
                 self.buffer.extend_from_slice(&chunk[..take]);
                 self.input.consume(take + usize::from(feed.is_some()));
+                if cut {
+                    let line = self.line;
+                    self.nul.get_or_insert((0, line)).0 += 1;
+                    // More of them end nothing, and are no lines.
+                    if self.buffer.is_empty() {
+                        self.line -= 1;
+                        ended = Line::End;
+                        continue;
+                    }
+                    ended = Line::Cut;
+                    break;
+                }
                 if feed.is_some() {
                     ended = Line::Complete;
                     break;
@@ -164,7 +206,9 @@ impl<R: BufRead> Reader<R> {
             if self.line == 1 && self.buffer.starts_with(b"\xef\xbb\xbf") {
                 self.buffer.drain(..3);
             }
-            if matches!(ended, Line::End) || !self.buffer.iter().all(u8::is_ascii_whitespace) {
+            let first = self.buffer.iter().find(|byte| !byte.is_ascii_whitespace());
+            let comment = first == Some(&b'#') && !self.fields.is_empty();
+            if ended == Line::End || !(first.is_none() || comment) {
                 return Ok(ended);
             }
         }
@@ -185,56 +229,73 @@ impl<R: BufRead> Reader<R> {
     }
 
     fn header(&mut self) -> Result<(), LogError> {
-        if matches!(self.read_line()?, Line::End) {
-            self.line = 0;
-            return Err(self.error(LogProblem::Empty));
+        let mut comments = false;
+        loop {
+            if matches!(self.read_line()?, Line::End) {
+                if !comments {
+                    self.line = 0;
+                }
+                return Err(self.error(if comments {
+                    LogProblem::NoHeader
+                } else {
+                    LogProblem::Empty
+                }));
+            }
+            let text = self.text()?;
+            let comment = text.trim_start().strip_prefix('#');
+            let (separator, fields) = columns(comment.unwrap_or(text));
+            let count = |place| fields.iter().filter(|found| **found == Some(place)).count();
+            if comment.is_some() && (0..COLUMNS.len()).any(|place| count(place) == 0) {
+                comments = true;
+                continue;
+            }
+            if split(text, separator)
+                .first()
+                .is_some_and(|first| number(first, separator).is_some())
+            {
+                return Err(self.error(LogProblem::NoHeader));
+            }
+            if let Some(place) = (0..=COLUMNS.len()).find(|place| count(*place) > 1) {
+                return Err(self.error(LogProblem::DuplicateColumn(name_of(place))));
+            }
+            let missing: Vec<_> = (0..COLUMNS.len())
+                .filter(|place| count(*place) == 0)
+                .map(name_of)
+                .collect();
+            if !missing.is_empty() {
+                return Err(self.error(LogProblem::MissingColumns(missing)));
+            }
+            self.separator = separator;
+            self.fields = fields;
+            return Ok(());
         }
-        let text = self.text()?;
-        if field(text.split(',').next().unwrap_or_default()).parse::<f64>().is_ok() {
-            return Err(self.error(LogProblem::NoHeader));
-        }
-        let names = || COLUMNS.into_iter().chain([TEMPERATURE]);
-        let fields: Vec<_> = text
-            .split(',')
-            .map(|name| names().position(|known| known == field(name)))
-            .collect();
-        let count = |place| fields.iter().filter(|found| **found == Some(place)).count();
-        if let Some((_, name)) = names().enumerate().find(|(place, _)| count(*place) > 1) {
-            return Err(self.error(LogProblem::DuplicateColumn(name)));
-        }
-        let missing: Vec<_> = COLUMNS
-            .into_iter()
-            .enumerate()
-            .filter(|(place, _)| count(*place) == 0)
-            .map(|(_, name)| name)
-            .collect();
-        if !missing.is_empty() {
-            return Err(self.error(LogProblem::MissingColumns(missing)));
-        }
-        self.has_temperature = count(COLUMNS.len()) > 0;
-        self.fields = fields;
-        Ok(())
     }
 
     fn read_row(&mut self) -> Option<Result<RawRow, LogError>> {
-        let line = match self.read_line() {
-            Ok(line) => line,
-            Err(error) => return Some(Err(error)),
-        };
-        let whole = match line {
-            Line::End => return None,
-            Line::Complete => true,
-            Line::Unterminated => false,
-        };
-        Some(match self.parse_row() {
-            Ok((_, last)) if !whole && !self.spelling.allows(last) => Err(self.error(LogProblem::Truncated)),
-            Ok((row, last)) => {
-                self.spelling.learn(last);
-                self.in_time(row)
+        loop {
+            let line = match self.read_line() {
+                Ok(Line::End) => return None,
+                Ok(line) => line,
+                Err(error) => return Some(Err(error)),
+            };
+            let whole = line == Line::Complete;
+            let parsed = match self.parse_row() {
+                Ok((_, last)) if !whole && !self.spelling.allows(last) => Err(self.error(LogProblem::Truncated)),
+                Err(error) if !whole && self.is_cut(&error.problem) => Err(self.error(LogProblem::Truncated)),
+                parsed => parsed,
+            };
+            match parsed {
+                // The row that was being written when the power went is no loss.
+                Err(_) if line == Line::Cut => {}
+                Err(error) => return Some(Err(error)),
+                Ok((mut row, last)) => {
+                    self.spelling.learn(last);
+                    let before = self.previous.replace(row.values);
+                    row.repeated = before.is_some_and(|before| before[1..8] == row.values[1..8]);
+                    return Some(Ok(row));
+                }
             }
-            Err(error) if !whole && self.is_cut(&error.problem) => Err(self.error(LogProblem::Truncated)),
-            Err(error) => Err(error),
-        })
+        }
     }
 
     /// Whether a problem of the last line is that its end is missing.
@@ -253,113 +314,117 @@ impl<R: BufRead> Reader<R> {
     /// The row, and how its last number is written.
     fn parse_row(&self) -> Result<(RawRow, Spelling), LogError> {
         let text = self.text()?;
-        let found = text.split(',').count();
-        if found != self.fields.len() {
-            return Err(self.error(LogProblem::FieldCount {
-                found,
-                expected: self.fields.len(),
-            }));
+        let mut texts = split(text, self.separator);
+        let expected = self.fields.len();
+        // A separator after the last field is no field.
+        if texts.len() == expected + 1 && texts.last().is_some_and(|last| last.is_empty()) {
+            texts.pop();
+        }
+        let found = texts.len();
+        if found != expected {
+            let places = self.fields.iter().flatten().count();
+            // A whole number has none.
+            let commas = expected + places / 2..=expected + places;
+            let problem = if self.separator == ',' && commas.contains(&found) {
+                LogProblem::DecimalComma { found, expected }
+            } else {
+                LogProblem::FieldCount { found, expected }
+            };
+            return Err(self.error(problem));
         }
         let mut values = [0.0; 9];
-        for (text, place) in text.split(',').zip(&self.fields) {
+        values[COLUMNS.len()] = f64::NAN;
+        for (text, place) in texts.iter().zip(&self.fields) {
             let Some(place) = *place else { continue };
             let column = name_of(place);
-            let text = field(text);
-            let value = text
-                .parse::<f64>()
-                .ok()
-                .filter(|value| value.is_finite())
-                .ok_or_else(|| {
-                    self.error(LogProblem::NotANumber {
-                        column,
-                        text: shorten(text),
-                    })
-                })?;
+            if place == COLUMNS.len() && NOTHING.iter().any(|nothing| text.eq_ignore_ascii_case(nothing)) {
+                continue;
+            }
+            let value = number(text, self.separator).ok_or_else(|| {
+                self.error(LogProblem::NotANumber {
+                    column,
+                    text: shorten(text),
+                })
+            })?;
             if value.abs() > LIMITS[place] {
                 return Err(self.error(LogProblem::TooLarge { column, value }));
             }
             values[place] = value;
         }
-        let last = Spelling::of(text.rsplit(',').next().map(field).unwrap_or_default());
         Ok((
             RawRow {
                 line: self.line,
                 values,
+                repeated: false,
             },
-            last,
+            Spelling::of(texts.last().copied().unwrap_or_default()),
         ))
     }
 
-    fn in_time(&mut self, row: RawRow) -> Result<RawRow, LogError> {
-        let now = row.t_s();
-        if let Some(previous) = self.previous_t.filter(|previous| *previous >= now) {
-            return Err(self.error(LogProblem::Time { previous, now }));
-        }
-        self.previous_t = Some(now);
-        Ok(row)
-    }
-
-    /// Reads the first rows and takes their median interval for the nominal one.
-    fn look_ahead(&mut self) -> Option<LogError> {
-        while self.ahead.len() < LOOK_AHEAD {
+    /// Reads rows ahead, and finds the times of the first of them.
+    fn look_ahead(&mut self) {
+        while !self.ended && self.ahead.len() < WINDOW {
             match self.read_row() {
-                None => break,
-                Some(row) => {
-                    let failed = row.is_err();
-                    self.ahead.push_back(row);
-                    if failed {
-                        break;
-                    }
+                None => self.ended = true,
+                Some(Ok(row)) => self.ahead.push_back(row),
+                Some(Err(error)) => {
+                    self.ended = true;
+                    self.failed = Some(error);
                 }
             }
         }
-        let times: Vec<_> = self.ahead.iter().flatten().map(RawRow::t_s).collect();
-        let mut intervals: Vec<_> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        intervals.sort_by(f64::total_cmp);
-        self.nominal = intervals.get(intervals.len() / 2).copied();
-        if self.nominal.is_some() {
-            return None;
+        let first = self.clock.interval().is_none();
+        let (lines, stamps): (Vec<_>, Vec<_>) = self
+            .ahead
+            .iter()
+            .map(|row| {
+                let stamp = Stamp {
+                    t_s: row.values[0],
+                    encoder: row.values[7],
+                    repeated: row.repeated,
+                };
+                (row.line, stamp)
+            })
+            .unzip();
+        let plan = self.clock.plan(&stamps, &lines, self.ended);
+        if let Some((stuck, previous)) = plan.stuck {
+            self.ended = true;
+            self.failed = Some(LogError {
+                file: self.file.clone(),
+                at: Some(Place::Line(lines[stuck])),
+                problem: LogProblem::Time {
+                    previous,
+                    now: stamps[stuck].t_s,
+                },
+            });
+            self.ahead.truncate(stuck);
         }
-        match self.ahead.pop_back() {
-            Some(Err(error)) => Some(error),
-            Some(Ok(_)) => Some(self.error(LogProblem::SingleRow)),
-            None => Some(self.error(LogProblem::NoRows)),
+        self.ahead.drain(..plan.skip);
+        self.times.extend(plan.rows);
+        if self.ended && self.times.is_empty() {
+            let problem = if self.ahead.is_empty() {
+                LogProblem::NoRows
+            } else {
+                LogProblem::SingleRow
+            };
+            if first && self.failed.is_none() {
+                self.failed = Some(self.error(problem));
+            }
+            self.ahead.clear();
         }
     }
 
-    fn finish_row(&mut self, row: RawRow, nominal: f64) -> LogRow {
-        let t_s = row.t_s();
-        let limit = GAP_FACTOR * nominal;
-        let (dt_s, gap) = match self.given_t {
-            Some(previous) => {
-                let dt_s = t_s - previous;
-                let gap = (dt_s > limit).then(|| Gap {
-                    after_s: previous,
-                    nominal_dt_s: nominal,
-                    missing: (dt_s / nominal).round() as u64 - 1,
-                });
-                (dt_s, gap)
-            }
-            None => {
-                let second = self
-                    .ahead
-                    .front()
-                    .and_then(|next| next.as_ref().ok())
-                    .map(|next| next.t_s() - t_s);
-                (second.filter(|dt_s| *dt_s <= limit).unwrap_or(nominal), None)
-            }
-        };
-        self.given_t = Some(t_s);
+    fn row(row: &RawRow, when: When) -> LogRow {
         let [_, wx, wy, wz, fx, fy, fz, encoder, temperature] = row.values;
         LogRow {
             at: Place::Line(row.line),
-            t_s,
-            dt_s,
+            t_s: when.t_s,
+            dt_s: when.dt_s,
             w_is_s: Vec3::new(wx, wy, wz),
             f_is_s: Vec3::new(fx, fy, fz),
             encoder,
-            temperature_c: self.has_temperature.then_some(temperature),
-            gap,
+            temperature_c: Some(temperature).filter(|t| t.is_finite()),
+            gap: when.gap,
             taken: None,
         }
     }
@@ -375,33 +440,58 @@ fn field(text: &str) -> &str {
     text.trim().trim_matches('"').trim()
 }
 
+/// The fields of a line. Between quotes a separator is text; a blank separates in any number.
+fn split(text: &str, separator: char) -> Vec<&str> {
+    let mut quoted = false;
+    let blank = separator == ' ';
+    let ends = |c: char| {
+        quoted ^= c == '"';
+        !quoted && (c == separator || (blank && c.is_whitespace()))
+    };
+    let fields = text.split(ends).map(field);
+    if blank {
+        fields.filter(|field| !field.is_empty()).collect()
+    } else {
+        fields.collect()
+    }
+}
+
+/// A finite number; with a decimal comma where that is not what separates.
+fn number(text: &str, separator: char) -> Option<f64> {
+    let plain = text.parse::<f64>().ok();
+    let value = plain.or_else(|| {
+        let comma = separator != ',' || text.matches(',').count() == 1;
+        (comma && !text.contains('.')).then(|| text.replacen(',', ".", 1).parse().ok())?
+    });
+    value.filter(|value| value.is_finite())
+}
+
+/// What separates the fields of a header, and which columns they are: by whichever the most are known.
+fn columns(text: &str) -> (char, Vec<Option<usize>>) {
+    let names = |separator| -> Vec<Option<usize>> {
+        split(text, separator)
+            .iter()
+            .map(|name| (0..=COLUMNS.len()).find(|place| name_of(*place).eq_ignore_ascii_case(name)))
+            .collect()
+    };
+    let known = |separator: &char| names(*separator).iter().flatten().count();
+    let blank = known(&' ');
+    // The first of those that are as good.
+    let best = SEPARATORS.into_iter().rev().max_by_key(known).unwrap_or(',');
+    let separator = if blank > known(&best) { ' ' } else { best };
+    (separator, names(separator))
+}
+
 impl<R: BufRead> Iterator for Reader<R> {
     type Item = Result<LogRow, LogError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        if self.done {
-            return None;
+        while self.times.is_empty() && !(self.ended && self.ahead.is_empty()) {
+            self.look_ahead();
         }
-        if self.nominal.is_none()
-            && let Some(error) = self.look_ahead()
-        {
-            self.done = true;
-            return Some(Err(error));
-        }
-        let row = match self.ahead.pop_front() {
-            Some(row) => Some(row),
-            None => self.read_row(),
-        };
-        match (row, self.nominal) {
-            (Some(Ok(row)), Some(nominal)) => Some(Ok(self.finish_row(row, nominal))),
-            (Some(Err(error)), _) => {
-                self.done = true;
-                Some(Err(error))
-            }
-            _ => {
-                self.done = true;
-                None
-            }
+        match (self.times.pop_front(), self.ahead.pop_front()) {
+            (Some(when), Some(row)) => Some(Ok(Self::row(&row, when))),
+            _ => self.failed.take().map(Err),
         }
     }
 }

@@ -308,6 +308,242 @@ fn endless_lines_are_not_slurped() {
 }
 
 #[test]
+fn what_people_write_instead_of_a_comma_a_point_and_a_name() {
+    let plain = good(5);
+    let values = |text: &str| -> Vec<[f64; 8]> {
+        rows(text)
+            .into_iter()
+            .map(|row| {
+                let row = row.unwrap();
+                let ([a, b, c], [d, e, f]) = (row.w_is_s.to_array(), row.f_is_s.to_array());
+                [row.t_s, a, b, c, d, e, f, row.encoder]
+            })
+            .collect()
+    };
+    let expected = values(&plain);
+    for separator in [";", "\t", "|", " ", "  ", " ; ", ", "] {
+        assert_eq!(values(&plain.replace(',', separator)), expected, "{separator:?}");
+        if !separator.contains(',') {
+            let german = plain.replace(',', separator).replace('.', ",");
+            assert_eq!(values(&german), expected, "{separator:?}");
+        }
+    }
+    let quoted: String = plain
+        .lines()
+        .map(|line| {
+            line.split(',')
+                .map(|field| format!("\"{}\"", field.replace('.', ",")))
+                .collect::<Vec<_>>()
+                .join(",")
+                + "\r\n"
+        })
+        .collect();
+    assert_eq!(values(&quoted), expected);
+    assert_eq!(
+        message(plain.replace('.', ",")),
+        "l.csv:2: 16 fields where the header has 8: the numbers seem to have decimal commas; separate fields by semicolons, \
+         or write decimal points"
+    );
+    assert_eq!(values(&plain.replace(HEADER, &HEADER.to_uppercase())), expected);
+    assert_eq!(values(&format!("# recorded at home\n\n{plain}# the end\n")), expected);
+    assert_eq!(values(&format!("# {plain}")), expected);
+    assert_eq!(values(&plain.replace('\n', ",\n").replace("rad,\n", "rad\n")), expected);
+    assert_eq!(
+        message("# a\n# b\n"),
+        format!("l.csv:2: no header: the first line must name the columns {HEADER}")
+    );
+}
+
+#[test]
+fn text_in_two_bytes_a_character_is_named() {
+    let utf16 = |mark: &[u8]| {
+        let wide = good(5).encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>();
+        message([mark, wide.as_slice()].concat())
+    };
+    assert!(utf16(b"\xff\xfe").contains("UTF-16") && utf16(b"").contains("save it as UTF-8"));
+}
+
+#[test]
+fn a_temperature_may_be_missing() {
+    let text: String = good(30)
+        .lines()
+        .enumerate()
+        .map(|(k, line)| match k {
+            0 => format!("{line},temperature_c\n"),
+            k if k % 10 == 1 => format!("{line},31.5\n"),
+            k if k % 10 == 2 => format!("{line},NaN\n"),
+            _ => format!("{line},\n"),
+        })
+        .collect();
+    let temperatures: Vec<_> = rows(text).into_iter().map(|row| row.unwrap().temperature_c).collect();
+    assert_eq!(temperatures.len(), 30);
+    assert_eq!(temperatures[..3], [Some(31.5), None, None]);
+}
+
+#[test]
+fn what_a_power_cut_leaves_is_no_row() {
+    let whole = good(40);
+    let read = |text: &[u8]| {
+        let mut reader = LogReader::new(text, "l.csv").unwrap();
+        let rows = reader.by_ref().map(Result::unwrap).count();
+        (
+            rows,
+            reader.warnings().iter().map(ToString::to_string).collect::<Vec<_>>(),
+        )
+    };
+    let told = |line, bytes| {
+        vec![format!(
+            "l.csv:{line}: {bytes} NUL bytes from here, as a power cut leaves them: the rows around them are used"
+        )]
+    };
+    let nul = vec![0; 70_000];
+    assert_eq!(read(&[whole.as_bytes(), &nul].concat()), (40, told(42, 70_000)));
+    // In the middle of the last row, of which nothing is kept.
+    let cut = whole.len() - 12;
+    assert_eq!(read(&[&whole.as_bytes()[..cut], &nul].concat()), (39, told(41, 70_000)));
+    // And it went on recording.
+    let (before, after) = whole.as_bytes().split_at(whole.find("0.21,").unwrap());
+    assert_eq!(read(&[before, &[0; 9], after].concat()), (40, told(22, 9)));
+}
+
+/// Rows of a rotor at 20 °/s as a log, stamped as `stamp` says; `keep` says which there are.
+fn stamped(rows: u32, rate_hz: f64, stamp: impl Fn(u32) -> f64, keep: impl Fn(u32) -> bool) -> String {
+    let mut text = format!("{HEADER}\n");
+    for k in (0..rows).filter(|k| keep(*k)) {
+        let alpha = f64::from(k) / rate_hz * 0.349;
+        let noise = f64::from(k.wrapping_mul(2_654_435_761) >> 16) * 1e-9;
+        text += &format!("{:.6},{noise},{noise},0.349,0.1,{noise},9.8,{alpha}\n", stamp(k));
+    }
+    text
+}
+
+/// Times, gaps and warnings that a log is read with.
+fn timed(text: &str) -> (Vec<LogRow>, Vec<String>, f64) {
+    let mut reader = LogReader::new(text.as_bytes(), "l.csv").unwrap();
+    let rows: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
+    let warnings = reader.warnings().iter().map(ToString::to_string).collect();
+    (rows, warnings, reader.nominal_dt_s().unwrap())
+}
+
+/// That stamps which are wrong without a loss are told so, once, and that rows come at an even rate.
+fn assert_jitter(name: &str, rate_hz: f64, stamp: impl Fn(u32) -> f64) {
+    let (rows, warnings, dt) = timed(&stamped(40_000, rate_hz, stamp, |_| true));
+    assert_eq!(warnings.len(), 1, "{name}: {warnings:?}");
+    assert!(warnings[0].contains("t_s jitters: "), "{name}: {warnings:?}");
+    assert_eq!(rows.len(), 40_000, "{name}");
+    assert!(rows.iter().all(|row| row.gap.is_none()), "{name}");
+    assert!((dt * rate_hz - 1.0).abs() < 2e-3, "{name}: {dt}");
+    let worst = rows
+        .iter()
+        .map(|row| (row.dt_s * rate_hz - 1.0).abs())
+        .fold(0.0, f64::max);
+    assert!(worst < 5e-3, "{name}: {worst}");
+    let length = rows[rows.len() - 1].t_s - rows[0].t_s;
+    assert!((length * rate_hz / 39_999.0 - 1.0).abs() < 1e-3, "{name}: {length}");
+}
+
+#[test]
+fn stamps_that_jitter_are_no_loss() {
+    let steps = |pattern: &'static [f64]| {
+        let whole: f64 = pattern.iter().sum();
+        move |k: u32| {
+            let k = k as usize;
+            (k / pattern.len()) as f64 * whole + pattern[..k % pattern.len()].iter().sum::<f64>()
+        }
+    };
+    assert_jitter(
+        "stairs",
+        100.0,
+        steps(&[0.005, 0.005, 0.005, 0.005, 0.005, 0.005, 0.04]),
+    );
+    assert_jitter("two by two", 100.0, steps(&[0.005, 0.015]));
+    assert_jitter("bursts", 100.0, steps(&[0.03985, 0.00005, 0.00005, 0.00005]));
+    // As they come in packets, of any size.
+    for packet in [2, 10, 50, 200] {
+        assert_jitter("packets", 200.0, |k| {
+            f64::from(k / packet * packet + packet) / 200.0 + f64::from(k % packet) * 2e-5
+        });
+    }
+    // Stamps of a coarse clock, from a second number of the epoch on; some are equal.
+    for (rate_hz, digits) in [(400.0, 1e3), (800.0, 1e3), (99.7, 1e2), (100.3, 1e2), (250.0, 1e2)] {
+        assert_jitter("rounded", rate_hz, |k| {
+            ((1.7e9 + f64::from(k) / rate_hz) * digits).round() / digits
+        });
+    }
+    // Late by anything up to two intervals.
+    for late in [0.3, 0.9, 2.0] {
+        assert_jitter("late", 100.0, |k| {
+            f64::from(k) / 100.0 + late * 0.01 * f64::from(k.wrapping_mul(2_654_435_761) >> 16) / 65_536.0
+        });
+    }
+    // A system that stood still now and then.
+    assert_jitter("stalls", 100.0, |k| {
+        let late = if k % 3000 > 2950 {
+            2950 + k / 3000 * 3000 + 50
+        } else {
+            0
+        };
+        f64::from(k.max(late)) / 100.0 + f64::from(k % 3000) * 1e-6
+    });
+}
+
+#[test]
+fn loss_is_told_from_jitter() {
+    let lost = |k: u32| !(k % 1000 == 700 || (20_000..20_030).contains(&k) || (30_500..30_502).contains(&k));
+    let stamps: [(&str, fn(u32) -> f64); 3] = [
+        ("even", |k| f64::from(k) / 100.0),
+        ("late", |k| {
+            f64::from(k) / 100.0 + 4e-3 * f64::from(k.wrapping_mul(2_654_435_761) >> 16) / 65_536.0
+        }),
+        ("stairs", |k| f64::from(k / 4 * 4 + 3) / 100.0 + f64::from(k % 4) * 1e-3),
+    ];
+    for (name, stamp) in stamps {
+        let (rows, warnings, dt) = timed(&stamped(40_000, 100.0, stamp, lost));
+        assert!((dt - 0.01).abs() < 1e-5, "{name}: {dt}");
+        let missing: u64 = rows.iter().filter_map(|row| row.gap).map(|gap| gap.missing).sum();
+        assert_eq!(missing, 40 + 30 + 2, "{name}: {warnings:?}");
+        assert_eq!(warnings.len(), usize::from(name != "even"), "{name}: {warnings:?}");
+        for row in rows.iter().filter(|row| row.gap.is_none()).skip(1) {
+            assert!((row.dt_s - 0.01).abs() < 1e-4, "{name}: {row:?}");
+        }
+    }
+}
+
+#[test]
+fn a_wrong_beginning_is_left_out() {
+    let cases: [(&str, fn(u32) -> f64, usize); 4] = [
+        (
+            "too close",
+            |k| f64::from(k.max(20)) / 100.0 - 1e-3 * f64::from(20 - k.min(20)),
+            20,
+        ),
+        ("too far", |k| f64::from(k + k.min(40)) / 100.0, 40),
+        (
+            "from zero",
+            |k| if k == 0 { 0.0 } else { 1.7e9 + f64::from(k) / 100.0 },
+            1,
+        ),
+        (
+            "from zero on",
+            |k| f64::from(k) / 100.0 + if k < 150 { 0.0 } else { 1.7e9 },
+            150,
+        ),
+    ];
+    for (name, stamp, rows_out) in cases {
+        let (rows, warnings, dt) = timed(&stamped(20_000, 100.0, stamp, |_| true));
+        assert_eq!(rows.len(), 20_000 - rows_out, "{name}: {warnings:?}");
+        assert!(
+            warnings.len() == 1 && warnings[0].contains("t_s begins with "),
+            "{name}: {warnings:?}"
+        );
+        assert!(
+            (dt - 0.01).abs() < 1e-6 && rows.iter().all(|row| row.gap.is_none()),
+            "{name}: {dt}"
+        );
+    }
+}
+
+#[test]
 fn built_in_scenarios_pass_without_a_warning() {
     for name in Scenario::builtin_names() {
         for seed in 0..3 {
@@ -397,11 +633,95 @@ fn units_and_signs_of_gyro_and_encoder() {
             "l.csv:2: gyro_z_rad_s and encoder_rad turn in opposite directions: both are positive counter-clockwise \
              from above, change the sign of the wrong one"
         );
-        let doubtful = with(3.0, 1.0).unwrap();
+    }
+}
+
+#[test]
+fn other_units_of_gyro_and_encoder() {
+    use core::f64::consts::TAU;
+    let text = log_of(&scenario("paper-sim", 45.0), 1);
+    let with = |gyro: f64, encoder: &dyn Fn(f64) -> f64| {
+        check(&changed(&text, |_, v| {
+            v[1..4].iter_mut().for_each(|v| *v *= gyro);
+            v[7] = encoder(v[7]);
+        }))
+        .unwrap_err()
+    };
+    for (gyro, unit) in [
+        (1e3, "the gyros look like mrad/s, multiply by 0.001"),
+        (1e3 / DEG, "the gyros look like mdeg/s, multiply by 1.745329e-5"),
+        (3600.0 / DEG, "the gyros look like degrees/h, multiply by 4.848137e-6"),
+        (3.0, "the gyros look like counts"),
+        (0.8, "a wrong scale"),
+    ] {
+        let told = with(gyro, &|alpha| alpha);
         assert!(
-            doubtful[0].starts_with("l.csv:2: gyro_z_rad_s is ") && doubtful.len() == 1,
-            "{doubtful:?}"
+            told.contains("times the encoder's rate, which must be 1: ") && told.contains(unit),
+            "{told}"
         );
+    }
+    let turns = "encoder_rad looks like turns, multiply by 6.283185";
+    assert!(with(1.0, &|alpha| alpha / TAU).contains(turns));
+    assert!(with(1.0, &|alpha| (alpha / TAU).rem_euclid(1.0)).contains(turns));
+    assert!(with(1.0, &|alpha| -alpha / TAU).contains("one of them is reversed"));
+    for pairs in [2.0, 3.0, 7.0, 11.0, 21.0] {
+        let told = with(1.0, &|alpha| (pairs * alpha).rem_euclid(TAU));
+        let about = pairs < 10.0 && !told.contains(&format!("about {pairs} pole pairs"));
+        assert!(
+            told.contains(" pole pairs, unwrap it and divide by them") && !about,
+            "{told}"
+        );
+    }
+    for bits in [12.0_f64, 14.0, 21.0] {
+        let told = with(1.0, &|alpha| {
+            (alpha / TAU * bits.exp2()).floor().rem_euclid(bits.exp2())
+        });
+        assert!(
+            told.contains(&format!(
+                "encoder_rad looks like counts, 2^{bits} a turn, multiply by 6.283185/"
+            )),
+            "{told}"
+        );
+    }
+    let told = with(1.0, &|alpha| (alpha / TAU * 36_000.0).round());
+    assert!(
+        told.contains("multiply by 6.283185 over the counts of a turn"),
+        "{told}"
+    );
+}
+
+#[test]
+fn axes_of_the_accelerometers() {
+    let text = log_of(&scenario("paper-sim", 5.0), 1);
+    let told = check(&changed(&text, |_, v| v[4..7].iter_mut().for_each(|f| *f = -*f))).unwrap_err();
+    assert!(
+        told.starts_with("l.csv:2: accel_z_m_s2 is -9.") && told.contains("change the signs of all three"),
+        "{told}"
+    );
+    let told = check(&changed(&text, |_, v| v.swap(4, 6))).unwrap_err();
+    assert!(told.contains("exchange the axes"), "{told}");
+}
+
+#[test]
+fn encoders_that_are_held() {
+    let text = log_of(&scenario("paper-sim", 45.0), 1);
+    let angles: Vec<f64> = text
+        .lines()
+        .skip(1)
+        .map(|line| line.rsplit(',').next().unwrap().parse().unwrap())
+        .collect();
+    for rows in [4, 5, 10, 20] {
+        let told = check(&changed(&text, |k, v| v[7] = angles[k / rows * rows])).unwrap_err();
+        assert!(
+            told.contains("encoder_rad repeats each angle for") && told.contains("degrees behind"),
+            "{told}"
+        );
+    }
+    // A coarse encoder is none.
+    for bits in [9, 10, 12, 14] {
+        let count = core::f64::consts::TAU / f64::from(1 << bits);
+        let coarse = changed(&text, |_, v| v[7] = (v[7] / count).floor() * count);
+        assert_eq!(check(&coarse), Ok(vec![]), "{bits}");
     }
 }
 
@@ -435,12 +755,15 @@ fn encoders_that_do_not_turn() {
         message.starts_with("l.csv:1002: encoder_rad stands still at 1.2500"),
         "{message}"
     );
-    // Nothing turns at all.
+    // Nothing turns at all: a good gyro finds north at rest.
     let mut still = scenario("paper-sim", 30.0);
     still.rotor.rate_dps = 0.0;
     assert_eq!(
-        check(&log_of(&still, 1)).unwrap_err(),
-        "l.csv:3001: encoder_rad never turned: the rotor stood still, or the encoder was not connected"
+        check(&log_of(&still, 1)).unwrap(),
+        [
+            "l.csv:3001: encoder_rad never turned: with the rotor at rest gyro biases go into heading in full, and σ says \
+             how far"
+        ]
     );
 }
 
@@ -462,8 +785,13 @@ fn times_that_are_not_seconds() {
     let text = log_of(&scenario("paper-sim", 5.0), 1);
     assert_eq!(
         check(&changed(&text, |_, v| v[0] *= 1e3)).unwrap_err(),
-        "l.csv:2: t_s grows by 1.000e1 from row to row: it must be in seconds, with 5 to 20000 rows a second"
+        "l.csv:2: t_s grows by 1.000e1 from row to row: it must be in seconds, with 5 to 20000 rows a second; it looks like \
+         ms, multiply by 0.001"
     );
+    for (factor, unit) in [(1e6, "µs, multiply by 1e-6"), (1e9, "ns, multiply by 1e-9")] {
+        let told = check(&changed(&text, |_, v| v[0] *= factor)).unwrap_err();
+        assert!(told.ends_with(unit), "{told}");
+    }
 }
 
 #[test]

@@ -69,7 +69,7 @@ fn check(row: &LogRow, before: Option<&LogRow>) {
         row.w_is_s.norm().is_finite() && row.f_is_s.norm().is_finite(),
         "{row:?}"
     );
-    assert!(row.encoder.abs() <= 1e7, "{row:?}");
+    assert!(row.encoder.abs() <= 1e10, "{row:?}");
     assert!(
         row.gap
             .is_none_or(|gap| gap.nominal_dt_s > 0.0 && gap.nominal_dt_s <= row.dt_s),
