@@ -161,7 +161,7 @@ impl<T: Real> ImuNoise<T> {
 /// By the mean absolute value, and of no difference more than four times that: a knock, or a reversal of the rotor, is one sample
 /// in hundreds.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WalkMeter<T: Real> {
+pub(crate) struct WalkMeter<T: Real> {
     /// The last three turns over √dt, the newest first, and how many of them there are.
     before: [Vec3<Sensor, T>; 3],
     held: u8,
@@ -180,7 +180,7 @@ impl<T: Real> WalkMeter<T> {
     const LARGEST: f64 = 4.0;
 
     /// Of no sample.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self {
             before: [Vec3::zero(); 3],
             held: 0,
@@ -190,7 +190,7 @@ impl<T: Real> WalkMeter<T> {
     }
 
     /// Adds a sample. Differences begin anew behind a gap.
-    pub fn push(&mut self, sample: &Sample<T>) {
+    pub(crate) fn push(&mut self, sample: &Sample<T>) {
         let now = sample.dtheta_s / math::sqrt(sample.dt);
         if sample.gap > T::zero() {
             self.held = 0;
@@ -211,7 +211,7 @@ impl<T: Real> WalkMeter<T> {
     }
 
     /// The figure to go by, rad/√s: the one told, or what has been measured where that is clearly more.
-    pub fn at_least(&self, told: T) -> T {
+    pub(crate) fn at_least(&self, told: T) -> T {
         let measured = self.sum / (self.count * T::lit(Self::MEAN));
         let more = self.count >= T::lit(Self::ENOUGH) && measured > told * T::lit(Self::MORE);
         if more { measured } else { told }
