@@ -43,7 +43,7 @@ const LOCAL: usize = 9;
 /// A clock that was set while it recorded leaps by more, s.
 const LEAP: f64 = 1000.0;
 /// How far such a clock may go back, intervals.
-const BACK: f64 = 3.0;
+const BACK: f64 = 20.0;
 /// So many long intervals are a pattern, which may be that of the clock.
 const PATTERN: usize = 8;
 /// Share of the rows that must seem missing for stairs to be that of the clock, where no encoder turns.
@@ -488,7 +488,7 @@ impl Clock {
                 *n = number;
             }
             fitted = line(numbers.iter().copied().zip(t.iter().copied()));
-            if fitted.1 <= 0.0 {
+            if !fitted.1.is_finite() || fitted.1 <= 0.0 {
                 fitted = (t[0], d, 0.0, 0.0);
                 break;
             }
