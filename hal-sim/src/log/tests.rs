@@ -487,10 +487,13 @@ fn stamps_that_jitter_are_no_loss() {
     });
 }
 
+/// The stamp of a row by its number.
+type StampOf = fn(u32) -> f64;
+
 #[test]
 fn loss_is_told_from_jitter() {
     let lost = |k: u32| !(k % 1000 == 700 || (20_000..20_030).contains(&k) || (30_500..30_502).contains(&k));
-    let stamps: [(&str, fn(u32) -> f64); 3] = [
+    let stamps: [(&str, StampOf); 3] = [
         ("even", |k| f64::from(k) / 100.0),
         ("late", |k| {
             f64::from(k) / 100.0 + 4e-3 * f64::from(k.wrapping_mul(2_654_435_761) >> 16) / 65_536.0
@@ -511,7 +514,7 @@ fn loss_is_told_from_jitter() {
 
 #[test]
 fn a_wrong_beginning_is_left_out() {
-    let cases: [(&str, fn(u32) -> f64, usize); 4] = [
+    let cases: [(&str, StampOf, usize); 4] = [
         (
             "too close",
             |k| f64::from(k.max(20)) / 100.0 - 1e-3 * f64::from(20 - k.min(20)),

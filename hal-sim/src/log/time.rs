@@ -27,7 +27,7 @@ const GAP_FACTOR: f64 = 1.5;
 /// Intervals this near to the nominal one, as a part of it, are that one.
 const EVEN: f64 = 0.1;
 /// Rows before and after a long interval by which loss is told from jitter.
-const LEAST_AROUND: usize = 64;
+const LEAST_AROUND: usize = 256;
 const MOST_AROUND: usize = 1024;
 /// Intervals this near to each other are not spread by chance.
 const TIGHT: f64 = 0.02;
