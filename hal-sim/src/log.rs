@@ -168,6 +168,8 @@ pub enum LogProblem {
     EncoderDegrees(f64),
     /// Gyro z and encoder turn in opposite directions.
     Opposite,
+    /// Gravity moves on the accelerometers' x and y the other way than the gyros' x and y say.
+    TiltReversed,
     /// Gyro z over the encoder's rate, which stays far from one.
     Mismatch(f64),
     /// The encoder is read less often than the gyros: each angle is held.
@@ -364,13 +366,17 @@ impl core::fmt::Display for LogProblem {
                  above, change the sign of the wrong one",
             ),
             Self::Mismatch(ratio) => {
-                let digits = if ratio.abs() < 0.1 { 5 } else { 2 };
+                let digits = if ratio.abs() < 0.1 { 7 } else { 3 };
                 write!(
                     f,
                     "gyro_z_rad_s is {ratio:.digits$} times the encoder's rate, which must be 1: {}",
                     cause(*ratio)
                 )
             }
+            Self::TiltReversed => f.write_str(
+                "the base swings, and gravity moves on accel_x and accel_y the other way than gyro_x and gyro_y say: change \
+                 the signs of x and y of the gyros, or of the accelerometers",
+            ),
             Self::EncoderHeld { rows, behind } => write!(
                 f,
                 "encoder_rad repeats each angle for {rows:.1} rows while gyro z turns, which leaves it {:.2} degrees behind: \

@@ -136,7 +136,10 @@ mod tests {
     use crate::scenario::Scenario;
     use crate::truth::Truth;
 
-    fn log_of(scenario: &Scenario, path: &Path) -> Vec<(Vec3<Sensor, f64>, Vec3<Sensor, f64>, f64)> {
+    /// Δθ, Δv and the rotor's angle of a row.
+    type Increments = (Vec3<Sensor, f64>, Vec3<Sensor, f64>, f64);
+
+    fn log_of(scenario: &Scenario, path: &Path) -> Vec<Increments> {
         let truth = Truth::new(scenario, 1).unwrap();
         let mut out = LogWriter::create(path, false).unwrap();
         let rows = (1..=scenario.samples())

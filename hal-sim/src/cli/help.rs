@@ -40,8 +40,8 @@ Examples:
   hal-sim bound --seconds 3600 --velocity-sd 0.001";
 
 pub(super) const REPLAY: &str = "\
-Prints what happens, then heading, pitch and roll (°) with σ, and the biases found. Writes no file. A log that cannot be true is refused, with the likely cause: unit, sign, encoder. Exit code 0 where the
-log's end finds it aligned.
+Prints what happens, then heading, pitch and roll (°) with σ, and the biases found. Writes no file. A log that cannot
+be true is refused, with the likely cause: unit, sign, encoder. Exit code 0 where the log's end finds it aligned.
 
 Examples:
   hal-sim replay LOG.csv --latitude-deg 40

@@ -4,6 +4,9 @@
 //! window, so that one odd row decides nothing: accelerometers over [`UNIT_WINDOW`], gyro z against the encoder over
 //! each [`ROTOR_WINDOW`] and over the whole.
 
+use frames::math::wrap_pi;
+use nalgebra::{Matrix3, Vector3};
+
 use super::{COLUMNS, LogError, LogProblem, LogRow, Lost, Place};
 
 /// Time over which the accelerometers' mean norm is taken, s.
@@ -29,6 +32,20 @@ const LARGE: f64 = 2.0;
 /// The same over the log, and over this time of turning at least, s.
 const LOG_RATIO: f64 = 0.15;
 const LOG_TURNING: f64 = 30.0;
+/// Where the rotor goes to and fro the scale is known far better: no gyro is off by more than this part, which would turn
+/// heading by degrees where it is the encoder's. How far it must go, rad; and the time in which a base forgets its yaw, s.
+const SCALE: f64 = 0.015;
+/// In less time more of the yaw is left, s.
+const SCALE_TIME: f64 = 120.0;
+const TO_AND_FRO: f64 = 1.0;
+const YAW_TIME: f64 = 10.0;
+/// Length of the blocks over which tilt by gyros and by accelerometers are compared, s; time it takes at least, s; and RMS of
+/// what gravity moves in a block that tells, m/s²: 0.2 degrees.
+const TILT_BLOCK: f64 = 0.5;
+const TILT_TIME: f64 = 30.0;
+const TILT_LEAST: f64 = 0.034;
+/// Gravity, m/s².
+const GRAVITY_Z: f64 = 9.8;
 /// Ratios of two windows that are the same, as a part.
 const SAME: f64 = 0.1;
 /// Angles that are held may be this far behind on average, rad: a tenth of a degree goes into heading as it is.
@@ -48,7 +65,8 @@ const LIVE_GAIN: f64 = 1.0 / 64.0;
 /// The step into a run of equal values must be so many times the smallest ever seen: at the crest of a slow swing a
 /// coarse sensor repeats itself too, but enters by one count.
 const STUCK_STEP: f64 = 3.0;
-/// A value that is among the last rows so many times is one of the few of a coarse sensor: to repeat it for long is quantisation, …
+/// A value that is among the last rows so many times is one of the few of a coarse sensor: to repeat it for long is
+/// quantisation, …
 const USUAL: usize = 4;
 /// … but for so many rows and so long, s.
 const USUAL_ROWS: u32 = 200;
@@ -396,23 +414,122 @@ impl RotorWindow {
     /// repeats itself as well; its steps are a turn over a power of two.
     fn held(&self) -> Option<(f64, f64)> {
         let largest = self.largest_step();
-        let mut steps: Vec<f64> = self
-            .rows
-            .iter()
-            .map(|row| row.0.abs())
-            .filter(|step| *step > 0.0 && *step <= largest)
-            .collect();
+        let mut steps: Vec<f64> = Vec::new();
+        // Rows since the encoder went on, and what gyro z turned by: at rest nothing is held.
+        let (mut held, mut turned, mut rows) = (0, 0.0, 0);
+        for (step, gyro, _) in &self.rows {
+            held += 1;
+            turned += gyro;
+            if *step != 0.0 {
+                if step.abs() <= largest && f64::abs(turned) > 0.3 * step.abs() {
+                    steps.push(step.abs());
+                    rows += held;
+                }
+                (held, turned) = (0, 0.0);
+            }
+        }
         if steps.is_empty() {
             return None;
         }
-        let path: f64 = steps.iter().sum();
-        let (changes, middle) = (steps.len() as f64, steps.len() / 2);
+        let (path, changes) = (steps.iter().sum::<f64>(), steps.len() as f64);
+        let middle = steps.len() / 2;
         let step = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
         let bits = (core::f64::consts::TAU / step).log2();
         let count = (bits - bits.round()).abs() < 0.005;
-        let rows = self.rows.len() as f64 / changes;
-        let behind = 0.5 * (path / changes - path / self.rows.len() as f64);
-        (rows > 1.6 && behind > BEHIND && !count).then_some((rows, behind))
+        let rows = f64::from(rows);
+        let behind = 0.5 * (path / changes - path / rows);
+        (rows > 1.6 * changes && behind > BEHIND && !count).then_some((rows / changes, behind))
+    }
+}
+
+/// What gyro z turned by, as a constant, a drift, and a part of what the encoder did: by least squares over the log.
+#[derive(Debug, Clone, Copy, Default)]
+struct Scale {
+    t: f64,
+    alpha: f64,
+    gyro: f64,
+    normal: Matrix3<f64>,
+    right: Vector3<f64>,
+    squares: f64,
+}
+
+impl Scale {
+    fn push(&mut self, row: &LogRow, previous: &LogRow) {
+        self.t += row.dt_s;
+        self.alpha += wrap_pi(row.encoder - previous.encoder);
+        self.gyro += row.w_is_s.z() * row.dt_s;
+        let g = Vector3::new(1.0, self.t, self.alpha);
+        self.normal += g * g.transpose();
+        self.right += g * self.gyro;
+        self.squares += self.gyro * self.gyro;
+    }
+
+    /// The part, with its 1σ, or more: what is left is the yaw of the base, which mostly swings and averages out faster.
+    /// `None` where the rotor does not go to and fro.
+    fn fit(&self) -> Option<(f64, f64)> {
+        let rows = self.normal[(0, 0)];
+        let inverse = self.normal.try_inverse()?;
+        let c = inverse * self.right;
+        let left = ((self.squares - c.dot(&self.right)) / rows).max(0.0).sqrt();
+        let to_and_fro = (inverse[(2, 2)] * rows).recip().sqrt();
+        (to_and_fro > TO_AND_FRO).then(|| (c[2], left / to_and_fro / (self.t / YAW_TIME).max(1.0).sqrt()))
+    }
+}
+
+/// The turn of the housing by the gyros against that by the accelerometers, which see gravity move: df/dt = −ω × f.
+#[derive(Debug, Clone, Copy, Default)]
+struct Gravity {
+    /// Of this block: time, s, sum of f and rows, and ∫ω, x and y of the housing.
+    time: f64,
+    rows: f64,
+    force: [f64; 2],
+    angle: [f64; 2],
+    /// Means of f and ∫ω of the blocks before: of the last, …
+    before: Option<([f64; 2], [f64; 2])>,
+    /// … and over the log: how f moved along what the gyros say, and how far they say it moved, squared; blocks.
+    along: f64,
+    square: f64,
+    blocks: f64,
+}
+
+impl Gravity {
+    fn push(&mut self, row: &LogRow) {
+        let (sin, cos) = row.encoder.sin_cos();
+        let level = |[x, y, _]: [f64; 3]| [cos * x - sin * y, sin * x + cos * y];
+        let (force, rate) = (level(row.f_is_s.to_array()), level(row.w_is_s.to_array()));
+        for k in 0..2 {
+            self.force[k] += force[k];
+            self.angle[k] += rate[k] * row.dt_s;
+        }
+        self.time += row.dt_s;
+        self.rows += 1.0;
+        if self.time < TILT_BLOCK {
+            return;
+        }
+        let (force, angle) = (self.force.map(|f| f / self.rows), self.angle);
+        if let Some((force_before, angle_before)) = self.before.filter(|_| self.time < 2.0 * TILT_BLOCK) {
+            // Between the middles of the blocks; z of f is gravity's.
+            let turned: [f64; 2] = core::array::from_fn(|k| 0.5 * (angle[k] + angle_before[k]));
+            let expected = [-turned[1] * GRAVITY_Z, turned[0] * GRAVITY_Z];
+            for k in 0..2 {
+                self.along += expected[k] * (force[k] - force_before[k]);
+                self.square += expected[k] * expected[k];
+            }
+            self.blocks += 1.0;
+        }
+        *self = Self {
+            before: Some((force, angle)),
+            along: self.along,
+            square: self.square,
+            blocks: self.blocks,
+            ..Self::default()
+        };
+    }
+
+    /// Whether gravity moves the other way than the gyros say, on a base that swings enough to tell.
+    fn is_reversed(&self) -> bool {
+        let moved = (self.square / self.blocks).sqrt();
+        self.blocks * TILT_BLOCK > TILT_TIME && moved > TILT_LEAST && self.along < -0.5 * self.square
     }
 }
 
@@ -433,8 +550,11 @@ pub struct Checker {
     turned: bool,
     /// The ratio of the window before, where it did not fit.
     mismatch: Option<f64>,
-    /// Gyro z against the encoder over the log.
+    /// Gyro z against the encoder over the log, by the window and by the row.
     turning: Turning,
+    scale: Scale,
+    /// Gyros against accelerometers over the log.
+    gravity: Gravity,
     warnings: Vec<LogWarning>,
 }
 
@@ -454,6 +574,8 @@ impl Checker {
             turned: false,
             mismatch: None,
             turning: Turning::default(),
+            scale: Scale::default(),
+            gravity: Gravity::default(),
             warnings: Vec::new(),
         }
     }
@@ -500,7 +622,9 @@ impl Checker {
             && row.gap.is_none()
         {
             window.push(row, &previous);
+            self.scale.push(row, &previous);
         }
+        self.gravity.push(row);
         if row.t_s - first.t_s >= UNIT_WINDOW {
             self.judge_units(first.at)?;
         }
@@ -666,6 +790,14 @@ impl Checker {
         }
         self.turned = true;
         let turning = window.turning();
+        let held = window
+            .held()
+            .map(|(rows, behind)| self.error(at, LogProblem::EncoderHeld { rows, behind }));
+        if turning.time < 0.5 * window.time
+            && let Some(error) = held
+        {
+            return Err(error);
+        }
         if turning.time < 0.5 * window.time || turning.path <= 0.0 {
             return Ok(());
         }
@@ -682,8 +814,8 @@ impl Checker {
         } else if !fits(GROSS) || mismatch.is_some_and(|before| (ratio / before - 1.0).abs() < SAME) {
             return Err(self.error(at, LogProblem::Mismatch(ratio)));
         }
-        if let Some((rows, behind)) = window.held() {
-            return Err(self.error(at, LogProblem::EncoderHeld { rows, behind }));
+        if let Some(error) = held {
+            return Err(error);
         }
         self.turning.along += turning.along;
         self.turning.path += turning.path;
@@ -706,6 +838,14 @@ impl Checker {
         let ratio = self.turning.ratio();
         if self.turning.time > LOG_TURNING && (ratio - 1.0).abs() > LOG_RATIO {
             return Err(self.error(at, LogProblem::Mismatch(ratio)));
+        }
+        if let Some((scale, sd)) = self.scale.fit().filter(|_| self.turning.time > LOG_TURNING)
+            && (scale - 1.0).abs() > (SCALE * (SCALE_TIME / self.scale.t).max(1.0)).max(sd)
+        {
+            return Err(self.error(at, LogProblem::Mismatch(scale)));
+        }
+        if self.gravity.is_reversed() {
+            return Err(self.error(at, LogProblem::TiltReversed));
         }
         Ok(())
     }

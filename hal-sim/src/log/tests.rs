@@ -487,10 +487,13 @@ fn stamps_that_jitter_are_no_loss() {
     });
 }
 
+/// The stamp of a row by its number.
+type StampOf = fn(u32) -> f64;
+
 #[test]
 fn loss_is_told_from_jitter() {
     let lost = |k: u32| !(k % 1000 == 700 || (20_000..20_030).contains(&k) || (30_500..30_502).contains(&k));
-    let stamps: [(&str, fn(u32) -> f64); 3] = [
+    let stamps: [(&str, StampOf); 3] = [
         ("even", |k| f64::from(k) / 100.0),
         ("late", |k| {
             f64::from(k) / 100.0 + 4e-3 * f64::from(k.wrapping_mul(2_654_435_761) >> 16) / 65_536.0
@@ -511,7 +514,7 @@ fn loss_is_told_from_jitter() {
 
 #[test]
 fn a_wrong_beginning_is_left_out() {
-    let cases: [(&str, fn(u32) -> f64, usize); 4] = [
+    let cases: [(&str, StampOf, usize); 4] = [
         (
             "too close",
             |k| f64::from(k.max(20)) / 100.0 - 1e-3 * f64::from(20 - k.min(20)),
@@ -653,6 +656,7 @@ fn other_units_of_gyro_and_encoder() {
         (3600.0 / DEG, "the gyros look like degrees/h, multiply by 4.848137e-6"),
         (3.0, "the gyros look like counts"),
         (0.8, "a wrong scale"),
+        (1.1, "a wrong scale"),
     ] {
         let told = with(gyro, &|alpha| alpha);
         assert!(
@@ -703,6 +707,22 @@ fn axes_of_the_accelerometers() {
 }
 
 #[test]
+fn gyros_and_accelerometers_that_do_not_belong_together() {
+    for name in ["paper-sim", "moored"] {
+        let text = log_of(&scenario(name, 45.0), 1);
+        for axes in [1..3, 4..6] {
+            let told = check(&changed(&text, |_, v| {
+                v[axes.clone()].iter_mut().for_each(|v| *v = -*v)
+            }));
+            assert!(
+                told.clone().unwrap_err().contains("change the signs of x and y"),
+                "{name}: {told:?}"
+            );
+        }
+    }
+}
+
+#[test]
 fn encoders_that_are_held() {
     let text = log_of(&scenario("paper-sim", 45.0), 1);
     let angles: Vec<f64> = text
@@ -710,7 +730,7 @@ fn encoders_that_are_held() {
         .skip(1)
         .map(|line| line.rsplit(',').next().unwrap().parse().unwrap())
         .collect();
-    for rows in [4, 5, 10, 20] {
+    for rows in [4, 5, 10, 20, 50, 100] {
         let told = check(&changed(&text, |k, v| v[7] = angles[k / rows * rows])).unwrap_err();
         assert!(
             told.contains("encoder_rad repeats each angle for") && told.contains("degrees behind"),

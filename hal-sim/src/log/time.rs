@@ -27,7 +27,7 @@ const GAP_FACTOR: f64 = 1.5;
 /// Intervals this near to the nominal one, as a part of it, are that one.
 const EVEN: f64 = 0.1;
 /// Rows before and after a long interval by which loss is told from jitter.
-const LEAST_AROUND: usize = 64;
+const LEAST_AROUND: usize = 256;
 const MOST_AROUND: usize = 1024;
 /// Intervals this near to each other are not spread by chance.
 const TIGHT: f64 = 0.02;
@@ -43,7 +43,7 @@ const LOCAL: usize = 9;
 /// A clock that was set while it recorded leaps by more, s.
 const LEAP: f64 = 1000.0;
 /// How far such a clock may go back, intervals.
-const BACK: f64 = 3.0;
+const BACK: f64 = 20.0;
 /// So many long intervals are a pattern, which may be that of the clock.
 const PATTERN: usize = 8;
 /// Share of the rows that must seem missing for stairs to be that of the clock, where no encoder turns.
@@ -488,7 +488,7 @@ impl Clock {
                 *n = number;
             }
             fitted = line(numbers.iter().copied().zip(t.iter().copied()));
-            if fitted.1 <= 0.0 {
+            if !fitted.1.is_finite() || fitted.1 <= 0.0 {
                 fitted = (t[0], d, 0.0, 0.0);
                 break;
             }

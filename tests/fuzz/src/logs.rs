@@ -14,14 +14,15 @@ use nav::rotor::RotorConfig;
 
 use crate::{Feed, crc32};
 
-/// Reads to the end, and judges what there is: the rows, and whether the end is that of the log.
-fn read(bytes: &[u8]) -> (Vec<LogRow>, bool) {
+/// Reads to the end, and judges what there is: the rows, whether the end is that of the log, and whether nothing of it was
+/// doubtful.
+fn read(bytes: &[u8]) -> (Vec<LogRow>, bool, bool) {
     let mut rows = Vec::new();
     let mut reader = match LogReader::new(bytes, "fuzz.log") {
         Ok(reader) => reader,
         Err(error) => {
             one_line(&error.to_string());
-            return (rows, false);
+            return (rows, false, false);
         }
     };
     let mut whole = true;
@@ -47,7 +48,9 @@ fn read(bytes: &[u8]) -> (Vec<LogRow>, bool) {
         }
         assert!(whole || reader.next().is_none());
     }
-    for warning in reader.warnings() {
+    let warnings = reader.warnings();
+    let clean = warnings.is_empty();
+    for warning in warnings {
         one_line(&warning.to_string());
     }
     match checker.map(Checker::finish) {
@@ -55,7 +58,7 @@ fn read(bytes: &[u8]) -> (Vec<LogRow>, bool) {
         Some(Err(error)) => one_line(&error.to_string()),
         None => {}
     }
-    (rows, whole)
+    (rows, whole, clean)
 }
 
 fn one_line(message: &str) {
@@ -77,10 +80,10 @@ fn check(row: &LogRow, before: Option<&LogRow>) {
     );
 }
 
-/// A file of text, as it is. What is read to its end can be written and read again.
+/// A file of text, as it is. What is read to its end, as it was stamped, can be written and read again.
 pub fn csv(data: &[u8]) {
-    let (rows, whole) = read(data);
-    if !whole || rows.is_empty() {
+    let (rows, whole, clean) = read(data);
+    if !(whole && clean) || rows.is_empty() {
         return;
     }
     let mut writer = LogWriter::new(Vec::new(), true).unwrap();
@@ -91,7 +94,7 @@ pub fn csv(data: &[u8]) {
             .unwrap();
     }
     let text = writer.finish().unwrap();
-    let (again, _) = read(&text);
+    let (again, ..) = read(&text);
     if rows.len() == 1 || data.contains(&SYNC) {
         // A recording may have one row, or a time that two have.
         return;
@@ -115,7 +118,7 @@ pub fn record(data: &[u8]) {
     while !feed.is_empty() && line.bytes.len() < 1 << 15 {
         line.lay(&mut feed);
     }
-    let (rows, whole) = read(&line.bytes);
+    let (rows, whole, _) = read(&line.bytes);
     if line.plain && !line.samples.is_empty() {
         assert!(whole);
         assert_eq!(rows.len(), line.samples.len());
