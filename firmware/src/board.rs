@@ -213,8 +213,10 @@ impl Board {
     /// Starts watchdog and clocks and takes the board's resources. Once: a second call panics.
     pub fn start() -> Self {
         // First: what hangs from here on ends in a reset.
-        let watchdog = Iwdg::start();
+        let mut watchdog = Iwdg::start();
         let clock = clock_source();
+        // The wait is counted in cycles and may take twice as long: the rest of the start has the whole time again.
+        watchdog.feed();
         let (pins, units) = split(embassy_stm32::init(config(clock)));
         if clock == ClockSource::Crystal {
             // A clock that stops later takes the outputs of TIM1 away, and ends in an interrupt that nothing serves: a

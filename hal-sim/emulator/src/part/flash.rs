@@ -418,7 +418,7 @@ mod tests {
     impl Bench {
         fn new() -> Self {
             Self {
-                part: Part::new(8_000_000, BridgeTimer::Quiet).unwrap(),
+                part: Part::new(8_000_000, 3300, BridgeTimer::Quiet).unwrap(),
                 array: Array(vec![0xFF; (ARRAY.end - ARRAY.start) as usize]),
                 at: VirtualNanos(0),
             }
