@@ -8,17 +8,20 @@
 //! ε     turn-on bias of the gyros in s, rad/s            x   their instability, first-order Gauss–Markov, rad/s
 //! ∇     bias of the accelerometers in s, m/s²            y   their instability, first-order Gauss–Markov, m/s²
 //! M     scale factors and misalignments of the gyros: δω_is^s = M ω_is^s, by columns m_x, m_y, m_z
+//! G     response of the gyros to specific force, by columns, rad/s per m/s²
+//! h     a gyro error that is constant in the housing, in b, rad/s
+//! A     scale factors and misalignments of the accelerometers, by columns
 //!
-//! φ̇  = −ω_ie^n × φ − C_s^n (ε + x + M ω_is^s)            [Xing18] (19), (20), with the rotor's errors of [Du16] (14)–(25)
-//! δV̇ = f^n × φ + C_s^n (∇ + y),  f^n = [0 0 g]           z = δV + noise, once a second
+//! φ̇  = −ω_ie^n × φ − C_s^n (ε + x + M ω_is^s + G f^s) − C_b^n h    [Xing18] (19), (20), with the rotor's errors of
+//! δV̇ = f^n × φ + C_s^n (∇ + y + A f^s),  f^n = [0 0 g]             [Du16] (14)–(25); z = δV + noise, once a second
 //! ```
 //!
 //! States whose figure is zero in the scenario are left out. Over one step of length h, with C at its middle and ω the
 //! mean over it,
 //!
 //! ```text
-//! φ'  = (I − [ω_ie h×] + ½ [ω_ie h×]²) φ + u,    u = −C (ε h + x τ (1 − e^(−h/τ)) + M ω h)
-//! δV' = δV + [f^n×] (h φ + ½ h u) + C (∇ h + y τ (1 − e^(−h/τ)))
+//! φ'  = (I − [ω_ie h×] + ½ [ω_ie h×]²) φ + u,    u = −C (ε h + x τ (1 − e^(−h/τ)) + M ω h + G f h) − C_b^n h_b h
+//! δV' = δV + [f^n×] (h φ + ½ h u) + C (∇ h + y τ (1 − e^(−h/τ)) + A f h)
 //! Q:  q² h I on φ, ½ q² h² [f^n×]ᵀ between φ and δV, ⅓ q² h³ [f^n×][f^n×]ᵀ + r² h I on δV, σ² (1 − e^(−2h/τ)) on x, y
 //! ```
 //!
@@ -30,10 +33,12 @@
 //! known so well its accelerations would show heading by themselves, as in a transfer alignment, and no filter here is
 //! given that.
 //!
-//! Not modelled: what no filter is told of either (scale factors and misalignments of the accelerometers, response of
-//! the gyros to force, bias steps, saturation), and quantisation, for which [`Limits`] has formulas.
+//! Not modelled: what no filter is told of either (bias steps, saturation), and quantisation, for which [`Limits`] has
+//! formulas.
 
-use frames::units::{ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
+use frames::units::{
+    ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM, STANDARD_GRAVITY,
+};
 use frames::{AttitudeSd, Nav, Vec3};
 use nalgebra::{DMatrix, Matrix3, Matrix6xX, Vector3};
 use serde::Serialize;
@@ -200,7 +205,9 @@ fn run_with_steps(scenario: &Scenario, seed: u64, config: &BoundConfig, per_seco
             let (dtheta_s, _) = truth.increment(t, t + h);
             let w_s = dtheta_s.vector() / h;
             turned_squared += w_s.norm_squared() * h;
-            model.predict(&mut p, &truth.c_ns(t + 0.5 * h).matrix(), &w_s, h);
+            let middle = t + 0.5 * h;
+            let frames = [&truth.c_ns(middle).matrix(), &truth.c_nb(middle).matrix()];
+            model.predict(&mut p, frames, &w_s, h);
             k += 1.0;
         }
         // The same information a second, however long the interval.
@@ -252,13 +259,24 @@ fn steps_per_second(scenario: &Scenario) -> f64 {
     (fastest * DEG / TURN_PER_STEP).ceil().max(STEPS_PER_SECOND)
 }
 
-/// The 1σ of the gyros' scale factors (one) and misalignments (rad) that the ideal filter is told.
-fn gyro_matrix_sd(scenario: &Scenario) -> (f64, f64) {
-    let unit = &scenario.imu;
-    (
-        unit.gyro_scale_factor_sd_ppm * PPM,
-        unit.gyro_misalignment_sd_arcmin * ARC_MIN,
-    )
+/// What three constant states act by.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Drive {
+    /// A column of M, by this component of ω_is^s.
+    Rate(usize),
+    /// A column of G, by this component of f^s.
+    Force(usize),
+    /// h.
+    Housing,
+    /// A column of A, by this component of f^s.
+    Accel(usize),
+}
+
+/// Three constant states besides the biases.
+struct Constant {
+    at: usize,
+    drive: Drive,
+    sd: Vector3<f64>,
 }
 
 /// A first-order Gauss–Markov process of three axes among the states.
@@ -291,9 +309,7 @@ struct Model {
     gyro_process: Option<Process>,
     nabla: usize,
     accel_process: Option<Process>,
-    /// First of the nine, by columns.
-    matrix: Option<usize>,
-    matrix_sd: (f64, f64),
+    constants: Vec<Constant>,
     gyro_bias_sd: f64,
     accel_bias_sd: f64,
     angle_psd: f64,
@@ -302,7 +318,8 @@ struct Model {
     velocity_psd: f64,
     /// [ω_ie^n ×].
     earth: Matrix3<f64>,
-    /// [f^n ×].
+    /// f^n, and [f^n ×].
+    force_n: Vector3<f64>,
     force: Matrix3<f64>,
 }
 
@@ -319,22 +336,49 @@ impl Model {
         let gyro_process = process(imu.gyro_instability_deg_h * DEG_PER_HOUR, imu.gyro_instability_tau_s);
         let accel_process = process(imu.accel_instability_ug * MICRO_G, imu.accel_instability_tau_s);
         let nabla = take(3);
-        let matrix_sd = gyro_matrix_sd(scenario);
-        let matrix = (matrix_sd.0 > 0.0 || matrix_sd.1 > 0.0).then(|| take(9));
+        let mut constants = Vec::new();
+        let mut constant = |drive, sd: Vector3<f64>| {
+            constants.push(Constant { at: take(3), drive, sd });
+        };
+        let mut columns = |drive: fn(usize) -> Drive, scale: f64, misalignment: f64| {
+            if scale > 0.0 || misalignment > 0.0 {
+                for column in 0..3 {
+                    let sd = Vector3::from_fn(|row, _| if row == column { scale } else { misalignment });
+                    constant(drive(column), sd);
+                }
+            }
+        };
+        columns(
+            Drive::Rate,
+            imu.gyro_scale_factor_sd_ppm * PPM,
+            imu.gyro_misalignment_sd_arcmin * ARC_MIN,
+        );
+        let by_force = imu.gyro_g_sensitivity_sd_deg_h_g * DEG_PER_HOUR / STANDARD_GRAVITY;
+        columns(Drive::Force, by_force, by_force);
+        columns(
+            Drive::Accel,
+            imu.accel_scale_factor_sd_ppm * PPM,
+            imu.accel_misalignment_sd_arcmin * ARC_MIN,
+        );
+        let housing = imu.gyro_housing_sd_deg_h * DEG_PER_HOUR;
+        if housing > 0.0 {
+            // Along the rotor's axis it is part of the bias.
+            constant(Drive::Housing, Vector3::new(housing, housing, 0.0));
+        }
         let f_n: Vec3<Nav, f64> = Vec3::new(0.0, 0.0, truth.gravity());
         Self {
             states,
             gyro_process,
             nabla,
             accel_process,
-            matrix,
-            matrix_sd,
+            constants,
             gyro_bias_sd: imu.gyro_bias_sd_deg_h * DEG_PER_HOUR,
             accel_bias_sd: imu.accel_bias_sd_ug * MICRO_G,
             angle_psd: (imu.angle_random_walk_deg_sqrt_h * DEG_PER_SQRT_HOUR).powi(2),
             random_walk_limit_deg: random_walk_limit_deg(scenario, 1.0),
             velocity_psd: (imu.velocity_random_walk_ug_sqrt_hz * MICRO_G_PER_SQRT_HZ).powi(2),
             earth: truth.w_ie_n().skew(),
+            force_n: f_n.vector(),
             force: f_n.skew(),
         }
     }
@@ -351,11 +395,8 @@ impl Model {
             for process in self.processes() {
                 set(process.at + axis, process.sd);
             }
-            if let Some(matrix) = self.matrix {
-                for row in 0..3 {
-                    let (scale, misalignment) = self.matrix_sd;
-                    set(matrix + 3 * axis + row, if row == axis { scale } else { misalignment });
-                }
+            for constant in &self.constants {
+                set(constant.at + axis, constant.sd[axis]);
             }
         }
         p
@@ -365,8 +406,9 @@ impl Model {
         self.gyro_process.iter().chain(&self.accel_process)
     }
 
-    /// Φ P Φᵀ + Q over a step of `h` seconds with C_s^n at its middle and ω_is^s over it, rad/s.
-    fn predict(&self, p: &mut DMatrix<f64>, c_ns: &Matrix3<f64>, w_s: &Vector3<f64>, h: f64) {
+    /// Φ P Φᵀ + Q over a step of `h` seconds with C_s^n and C_b^n at its middle and ω_is^s over it, rad/s.
+    fn predict(&self, p: &mut DMatrix<f64>, [c_ns, c_nb]: [&Matrix3<f64>; 2], w_s: &Vector3<f64>, h: f64) {
+        let f_s = c_ns.transpose() * self.force_n;
         // The six rows of Φ that are not a decay alone.
         let mut f = Matrix6xX::zeros(self.states);
         let mut set = |row: usize, column: usize, block: &Matrix3<f64>| {
@@ -376,19 +418,27 @@ impl Model {
         set(PHI, PHI, &(Matrix3::identity() - turn + turn * turn * 0.5));
         set(DV, PHI, &(self.force * h));
         set(DV, DV, &Matrix3::identity());
-        let mut gyro = |column: usize, seconds: f64| {
-            let block = c_ns * -seconds;
+        let mut gyro_in = |frame: &Matrix3<f64>, column: usize, by: f64| {
+            let block = frame * -by;
             set(PHI, column, &block);
             // What attitude gains evenly over the step acts on velocity for half of it.
             set(DV, column, &(self.force * block * (0.5 * h)));
         };
-        gyro(EPS, h);
+        gyro_in(c_ns, EPS, h);
         if let Some(process) = &self.gyro_process {
-            gyro(process.at, process.integral(h));
+            gyro_in(c_ns, process.at, process.integral(h));
         }
-        if let Some(matrix) = self.matrix {
-            for axis in 0..3 {
-                gyro(matrix + 3 * axis, w_s[axis] * h);
+        for constant in &self.constants {
+            match constant.drive {
+                Drive::Rate(axis) => gyro_in(c_ns, constant.at, w_s[axis] * h),
+                Drive::Force(axis) => gyro_in(c_ns, constant.at, f_s[axis] * h),
+                Drive::Housing => gyro_in(c_nb, constant.at, h),
+                Drive::Accel(_) => {}
+            }
+        }
+        for constant in &self.constants {
+            if let Drive::Accel(axis) = constant.drive {
+                set(DV, constant.at, &(c_ns * (f_s[axis] * h)));
             }
         }
         set(DV, self.nabla, &(c_ns * h));
@@ -427,6 +477,10 @@ impl Model {
         );
     }
 
+    fn of(&self, drive: Drive) -> Option<&Constant> {
+        self.constants.iter().find(|constant| constant.drive == drive)
+    }
+
     fn sigmas(&self, p: &DMatrix<f64>, truth: &Truth, t: f64) -> Sigmas {
         let phi = p.fixed_view::<3, 3>(PHI, PHI).into_owned();
         let sd = |at: usize| p[(at, at)].max(0.0).sqrt();
@@ -448,8 +502,8 @@ impl Model {
             velocity_sd_m_s: core::array::from_fn(|axis| sd(DV + axis)),
             gyro_bias_sd_deg_h: sum(EPS, self.gyro_process.as_ref()).map(|sd| sd / DEG_PER_HOUR),
             accel_bias_sd_ug: sum(self.nabla, self.accel_process.as_ref()).map(|sd| sd / MICRO_G),
-            gyro_matrix_sd_ppm: self.matrix.map(|matrix| {
-                core::array::from_fn(|row| core::array::from_fn(|column| sd(matrix + 3 * column + row) / PPM))
+            gyro_matrix_sd_ppm: self.of(Drive::Rate(0)).map(|matrix| {
+                core::array::from_fn(|row| core::array::from_fn(|column| sd(matrix.at + 3 * column + row) / PPM))
             }),
         }
     }
@@ -594,6 +648,54 @@ mod tests {
             let fine = run_with_steps(&scenario, 1, &config, 200.0).unwrap();
             near(bound(&scenario, 1).end.sd.heading_deg, fine.end.sd.heading_deg, 1e-3);
         }
+    }
+
+    /// What the turning cannot tell from Earth's rate goes into heading in full: an error fixed to the housing, and under a
+    /// constant tilt the isotropic part of G, and its antisymmetric one.
+    #[test]
+    fn what_does_not_turn_stays() {
+        let north = nav::earth::OMEGA_IE * (40.0 * DEG).cos();
+        let mut scenario = builtin("static");
+        scenario.imu = crate::unit::Unit::default();
+        let before = bound(&scenario, 1).end.sd.heading_deg;
+        scenario.imu.gyro_housing_sd_deg_h = 0.5;
+        let housed = bound(&scenario, 1);
+        assert_eq!(housed.states, 15);
+        near(
+            housed.end.sd.heading_deg,
+            before.hypot(0.5 * DEG_PER_HOUR / north / DEG),
+            0.01,
+        );
+        scenario.imu.gyro_housing_sd_deg_h = 0.0;
+        scenario.imu.gyro_g_sensitivity_sd_deg_h_g = 10.0;
+        assert_eq!(bound(&scenario, 1).states, 21);
+        // With and without G, whose third column is a bias of its own.
+        let pair = |scenario: &Scenario| {
+            let mut without = scenario.clone();
+            without.imu.gyro_g_sensitivity_sd_deg_h_g = 0.0;
+            without.imu.gyro_bias_sd_deg_h = 10.0_f64.hypot(10.0);
+            [scenario, &without].map(|scenario| bound(scenario, 1).end.sd.heading_deg)
+        };
+        let [with, without] = pair(&scenario);
+        near(with, without, 0.001);
+        scenario.swing.roll.centre_deg = crate::config::Angle::Degrees(4.0);
+        let [with, without] = pair(&scenario);
+        // Half of the sum of two terms of G, of a tilt of 4°.
+        let stays = 10.0 * DEG_PER_HOUR * (4.0 * DEG).sin() / 2.0_f64.sqrt() / north / DEG;
+        near(with, without.hypot(stays), 0.02);
+    }
+
+    /// Accelerometer errors turn with the rotor, and cost hardly anything.
+    #[test]
+    fn accelerometer_errors_are_found() {
+        let mut scenario = builtin("paper-sim");
+        let before = bound(&scenario, 1).end.sd.heading_deg;
+        scenario.imu.accel_scale_factor_sd_ppm = 500.0;
+        scenario.imu.accel_misalignment_sd_arcmin = 3.0;
+        let with = bound(&scenario, 1);
+        assert_eq!(with.states, 21);
+        assert!(with.end.sd.heading_deg >= before);
+        near(with.end.sd.heading_deg, before, 0.02);
     }
 
     /// The bias that the table shows is the sum that a filter is judged by: at the start both parts' priors.

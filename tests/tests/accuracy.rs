@@ -129,18 +129,19 @@ fn a_tilted_axis_leaves_an_honest_heading() {
 /// strapdown by 27° before the filter begins. The ideal filter has 3.5° at rest.
 #[test]
 fn half_a_degree_per_second_of_bias_is_found() {
-    for (name, most) in [("static", 4.4), ("moored", 5.2)] {
+    for (name, most) in [("static", 4.2), ("moored", 4.7)] {
         let mut scenario = Scenario::builtin(name).unwrap();
         scenario.imu = Unit::find("icm42688").unwrap();
         scenario.run.duration_s = 900.0;
-        let report = monte_carlo::run(&scenario, 40, 507, &[Method::Robust], || ()).unwrap();
+        // In fewer runs the worst of them decides: 24° off at the berth, 1.9 of (error/σ)² in 40 runs and 1.2 in 100.
+        let report = monte_carlo::run(&scenario, 100, 507, &[Method::Robust], || ()).unwrap();
         let [robust] = &report.by_method[..] else {
             panic!("one method")
         };
         let all = robust.all.unwrap();
-        assert_eq!(all.runs, 40, "{name}");
+        assert_eq!(all.runs, 100, "{name}");
         assert!(all.heading.rms_deg <= most, "{name}: {all:?}");
-        assert!((0.5..1.7).contains(&all.heading.normalised_squared), "{name}: {all:?}");
+        assert!((0.7..1.4).contains(&all.heading.normalised_squared), "{name}: {all:?}");
     }
 }
 
