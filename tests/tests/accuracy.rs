@@ -67,7 +67,7 @@ fn moored_is_found_where_the_papers_filter_is_lost() {
 }
 
 /// An ADIS16495-1 as sold, 250 °/h of bias and every other term of the part, the filter configured with them: at rest, where the z bias
-/// turns the strapdown by 60° in 15 min, and at the berth. The ideal filter has 1.81° at rest.
+/// turns the strapdown by 60° in 15 min, and at the berth. The ideal filter has 1.88° at rest.
 #[test]
 fn an_imu_as_sold_is_as_good_as_its_noise_and_knows_how_good() {
     // A seed with runs that are lost where fading makes the biases as uncertain as at power-up.
@@ -126,7 +126,7 @@ fn a_tilted_axis_leaves_an_honest_heading() {
 }
 
 /// An ICM-42688-P as sold, 1800 °/h of bias: it moves gravity by more than ten times what Earth's rotation does, and turns the
-/// strapdown by 27° before the filter begins. The ideal filter has 3.5° at rest.
+/// strapdown by 27° before the filter begins. The ideal filter has 3.65° at rest.
 #[test]
 fn half_a_degree_per_second_of_bias_is_found() {
     for (name, most) in [("static", 4.2), ("moored", 4.7)] {
