@@ -330,14 +330,14 @@ fn flash_is_not_written_on_a_low_supply() {
             ..Setup::new(paper(), 1, 2.0)
         };
         let (outcome, kept) = run(&setup);
-        let answers = kept.sentences.iter().filter(|text| text.starts_with("$PRNSA,"));
+        let mut answers = kept.sentences.iter().filter(|text| text.starts_with("$PRNSA,"));
         // Option bytes as delivered: brown-out off.
         let told = kept
             .lines
             .iter()
             .filter(|line| line.contains("settings: the brown-out level"));
         assert_eq!(told.count(), 1, "{:?}", kept.lines);
-        (outcome.flash == stored, answers.last().cloned().unwrap_or_default())
+        (outcome.flash == stored, answers.next_back().cloned().unwrap_or_default())
     };
     let (untouched, answer) = run_on(2750);
     assert!(
