@@ -337,7 +337,10 @@ fn flash_is_not_written_on_a_low_supply() {
             .iter()
             .filter(|line| line.contains("settings: the brown-out level"));
         assert_eq!(told.count(), 1, "{:?}", kept.lines);
-        (outcome.flash == stored, answers.next_back().cloned().unwrap_or_default())
+        (
+            outcome.flash == stored,
+            answers.next_back().cloned().unwrap_or_default(),
+        )
     };
     let (untouched, answer) = run_on(2750);
     assert!(
