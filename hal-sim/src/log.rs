@@ -179,6 +179,13 @@ pub enum LogProblem {
         /// How far the angles are behind on average, rad.
         behind: f64,
     },
+    /// The encoder is late, or early.
+    EncoderLate {
+        /// By how much, s.
+        delay: f64,
+        /// Rate of the rotor, rad/s.
+        rate: f64,
+    },
     /// The encoder rests while gyro z turns.
     EncoderStuck {
         /// Its reading, rad.
@@ -382,6 +389,14 @@ impl core::fmt::Display for LogProblem {
                 "encoder_rad repeats each angle for {rows:.1} rows while gyro z turns, which leaves it {:.2} degrees behind: \
                  read the encoder with each sample of the IMU, or interpolate its angles between the rows where they change",
                 behind / frames::units::DEG
+            ),
+            Self::EncoderLate { delay, rate } => write!(
+                f,
+                "encoder_rad is some {:.0} ms {} gyro_z_rad_s, {:.1} degrees of heading: stamp both by one clock, or \
+                 shift the angles by as many rows",
+                delay.abs() * 1e3,
+                if *delay > 0.0 { "behind" } else { "ahead of" },
+                (delay * rate).abs() / frames::units::DEG
             ),
             Self::EncoderStuck { at, turned, seconds } => write!(
                 f,

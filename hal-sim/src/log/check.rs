@@ -4,6 +4,8 @@
 //! window, so that one odd row decides nothing: accelerometers over [`UNIT_WINDOW`], gyro z against the encoder over
 //! each [`ROTOR_WINDOW`] and over the whole.
 
+use std::collections::VecDeque;
+
 use frames::math::wrap_pi;
 use nalgebra::{Matrix3, Vector3};
 
@@ -50,6 +52,11 @@ const GRAVITY_Z: f64 = 9.8;
 const SAME: f64 = 0.1;
 /// Angles that are held may be this far behind on average, rad: a tenth of a degree goes into heading as it is.
 const BEHIND: f64 = 1.75e-3;
+/// An encoder may be so far behind gyro z, or ahead of it, rad: that goes into heading in full. So many times its 1σ it must be;
+/// and the time over which both are differenced, s: a base hardly changes its rate in that, a rotor turns round.
+const LATE: f64 = 8.7e-3;
+const LATE_SIGMAS: f64 = 6.0;
+const LATE_DIFFERENCE: f64 = 0.2;
 /// No rotor of this kind turns faster, rad/s (460 °/s); in degrees it is 8 °/s.
 const FAST: f64 = 8.0;
 /// No sensor reads more, rad/s; the aligner takes no more.
@@ -476,6 +483,55 @@ impl Scale {
     }
 }
 
+/// How late the encoder is. Late by `δ`, it leaves `δ α̇` between the angle of gyro z and its own, which changes where the rotor turns
+/// round. By least squares over the log, of second differences over [`LATE_DIFFERENCE`], in which the base's own yaw all but goes away.
+#[derive(Debug, Clone, Default)]
+struct Delay {
+    /// Of the last rows: what the encoder turned by, and what gyro z turned by beyond that.
+    rows: VecDeque<(f64, f64)>,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+    count: f64,
+    /// Rows in a difference.
+    lag: usize,
+}
+
+impl Delay {
+    fn push(&mut self, row: &LogRow, previous: &LogRow) {
+        let turned = wrap_pi(row.encoder - previous.encoder);
+        self.lag = ((LATE_DIFFERENCE / row.dt_s).round() as usize).clamp(3, 1000);
+        self.rows.push_back((turned, row.w_is_s.z() * row.dt_s - turned));
+        let wanted = 2 * self.lag + 1;
+        let more = self.rows.len().saturating_sub(wanted);
+        self.rows.drain(..more);
+        if self.rows.len() < wanted {
+            return;
+        }
+        let beyond = |from: usize| self.rows.range(from..from + self.lag).map(|row| row.1).sum::<f64>();
+        let y = beyond(self.lag + 1) - beyond(1);
+        let x = (self.rows[2 * self.lag].0 - 2.0 * self.rows[self.lag].0 + self.rows[0].0) / row.dt_s;
+        self.xx += x * x;
+        self.xy += x * y;
+        self.yy += y * y;
+        self.count += 1.0;
+    }
+
+    /// Rows that do not follow one another.
+    fn interrupt(&mut self) {
+        self.rows.clear();
+    }
+
+    /// How late it is, and the 1σ of that, s. `None` where the rotor never turned round.
+    fn fit(&self) -> Option<(f64, f64)> {
+        let delay = self.xy / self.xx;
+        let left = (self.yy - delay * self.xy).max(0.0) / self.count;
+        // Neighbours have most of a difference in common.
+        let sd = (left * 2.0 * self.lag as f64 / self.xx).sqrt();
+        (delay.is_finite() && sd.is_finite()).then_some((delay, sd))
+    }
+}
+
 /// The turn of the housing by the gyros against that by the accelerometers, which see gravity move: df/dt = −ω × f.
 #[derive(Debug, Clone, Copy, Default)]
 struct Gravity {
@@ -553,6 +609,7 @@ pub struct Checker {
     /// Gyro z against the encoder over the log, by the window and by the row.
     turning: Turning,
     scale: Scale,
+    delay: Delay,
     /// Gyros against accelerometers over the log.
     gravity: Gravity,
     warnings: Vec<LogWarning>,
@@ -575,6 +632,7 @@ impl Checker {
             mismatch: None,
             turning: Turning::default(),
             scale: Scale::default(),
+            delay: Delay::default(),
             gravity: Gravity::default(),
             warnings: Vec::new(),
         }
@@ -623,6 +681,9 @@ impl Checker {
         {
             window.push(row, &previous);
             self.scale.push(row, &previous);
+            self.delay.push(row, &previous);
+        } else {
+            self.delay.interrupt();
         }
         self.gravity.push(row);
         if row.t_s - first.t_s >= UNIT_WINDOW {
@@ -843,6 +904,13 @@ impl Checker {
             && (scale - 1.0).abs() > (SCALE * (SCALE_TIME / self.scale.t).max(1.0)).max(sd)
         {
             return Err(self.error(at, LogProblem::Mismatch(scale)));
+        }
+        let rate = self.turning.path / self.turning.time;
+        if let Some((delay, sd)) = self.delay.fit().filter(|_| self.turning.time > LOG_TURNING)
+            && (delay * rate).abs() > LATE
+            && delay.abs() > LATE_SIGMAS * sd
+        {
+            return Err(self.error(at, LogProblem::EncoderLate { delay, rate }));
         }
         if self.gravity.is_reversed() {
             return Err(self.error(at, LogProblem::TiltReversed));

@@ -746,6 +746,41 @@ fn encoders_that_are_held() {
 }
 
 #[test]
+fn encoders_that_are_late_or_early() {
+    for name in ["paper-sim", "moored", "static"] {
+        let text = log_of(&scenario(name, 120.0), 2);
+        let angles: Vec<f64> = text
+            .lines()
+            .skip(1)
+            .map(|line| line.rsplit(',').next().unwrap().parse().unwrap())
+            .collect();
+        let shifted = |rows: i64| {
+            let at = |k: usize| (k as i64 - rows).clamp(0, angles.len() as i64 - 1) as usize;
+            check(&changed(&text, |k, v| v[7] = angles[at(k)]))
+        };
+        // Half a degree of heading is two rows and a half of 10 ms at 20 °/s.
+        for rows in [-2, -1, 0, 1, 2] {
+            assert_eq!(shifted(rows), Ok(vec![]), "{name} {rows}");
+        }
+        for (rows, side) in [
+            (4, "behind"),
+            (10, "behind"),
+            (20, "behind"),
+            (-4, "ahead of"),
+            (-10, "ahead of"),
+        ] {
+            let told = shifted(rows).unwrap_err();
+            assert!(
+                told.contains(side) && told.contains("degrees of heading"),
+                "{name} {rows}: {told}"
+            );
+        }
+        let told = shifted(6).unwrap_err();
+        assert!(["some 5", "some 6"].iter().any(|ms| told.contains(ms)), "{told}");
+    }
+}
+
+#[test]
 fn encoders_that_wrap_are_welcome() {
     let mut scenario = scenario("paper-sim", 60.0);
     scenario.rotor.travel_deg = 720.0;
