@@ -155,34 +155,38 @@ impl<T: Real> ImuNoise<T> {
     }
 }
 
-/// The angle random walk of the level gyros, measured by the third differences of samples in a row: white noise has 20 times
-/// its variance there, and what a base and a rotor do within four samples is not in it. About z the motor turns.
+/// The angle random walk of the level gyros, measured by the sixth differences of samples in a row: white noise has 924 times
+/// its variance there, and what a base does within seven samples is not in it. About z the motor turns.
+///
+/// Third differences would do at 100 Hz. At 10 Hz they take a swing of 10° and 5 s for 24 times the noise of 0.02 °/√h.
 ///
 /// By the mean absolute value, and of no difference more than four times that: a knock, or a reversal of the rotor, is one sample
 /// in hundreds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct WalkMeter<T: Real> {
-    /// The last three turns over √dt, the newest first, and how many of them there are.
-    before: [Vec3<Sensor, T>; 3],
+    /// The last turns over √dt, the newest first, and how many of them there are.
+    before: [Vec3<Sensor, T>; 6],
     held: u8,
     sum: T,
     count: T,
 }
 
 impl<T: Real> WalkMeter<T> {
-    /// E|x| of the third difference of a normal variable of unit variance: √(20 · 2/π).
-    const MEAN: f64 = 3.568_25;
+    /// E|x| of the sixth difference of a normal variable of unit variance: √(924 · 2/π).
+    const MEAN: f64 = 24.253_8;
     /// Figures below this many of the told one are its own scatter, the digits of a sensor, or a little vibration.
     const MORE: f64 = 1.2;
-    /// Differences below which nothing is said, and none is cut: the scatter of their mean is 5 % then.
-    const ENOUGH: f64 = 1000.0;
-    /// One is cut to so many times the mean.
+    /// Differences below which nothing is said. In 54 s there are as many from 19 Hz on; where samples are longer the
+    /// rotor's reversals are too many of them.
+    const ENOUGH: f64 = 2000.0;
+    /// One is cut to so many times the mean, once there is a mean of so many.
     const LARGEST: f64 = 4.0;
+    const SETTLED: f64 = 200.0;
 
     /// Of no sample.
     pub(crate) fn new() -> Self {
         Self {
-            before: [Vec3::zero(); 3],
+            before: [Vec3::zero(); 6],
             held: 0,
             sum: T::zero(),
             count: T::zero(),
@@ -195,11 +199,11 @@ impl<T: Real> WalkMeter<T> {
         if sample.gap > T::zero() {
             self.held = 0;
         }
-        let [a, b, c] = self.before;
-        if self.held == 3 {
-            let difference = now - c + (b - a) * T::lit(3.0);
+        let [a, b, c, d, e, f] = self.before;
+        if self.held == 6 {
+            let difference = now + f - (a + e) * T::lit(6.0) + (b + d) * T::lit(15.0) - c * T::lit(20.0);
             for size in [difference.x().abs(), difference.y().abs()] {
-                let settled = self.count >= T::lit(Self::ENOUGH);
+                let settled = self.count >= T::lit(Self::SETTLED);
                 let most = self.sum / self.count * T::lit(Self::LARGEST);
                 self.sum += if settled { size.min(most) } else { size };
                 self.count += T::one();
@@ -207,7 +211,7 @@ impl<T: Real> WalkMeter<T> {
         } else {
             self.held += 1;
         }
-        self.before = [now, a, b];
+        self.before = [now, a, b, c, d, e];
     }
 
     /// The figure to go by, rad/√s: the one told, or what has been measured where that is clearly more.
@@ -222,9 +226,9 @@ impl<T: Real> WalkMeter<T> {
 mod tests {
     use super::*;
 
-    /// Samples of white noise of `walk` on a swing of 10° and 5 s, seen from a turning rotor, told 0.1 of each.
-    fn measured(walk: f64, knocks: bool) -> f64 {
-        let (dt, mut seed) = (0.005, 1_u64);
+    /// Samples of white noise of `walk` for a minute, on a swing of 10° and 5 s, seen from a turning rotor, told a tenth of it.
+    fn measured(walk: f64, rate_hz: u32, knocks: bool) -> f64 {
+        let (dt, mut seed) = (1.0 / f64::from(rate_hz), 1_u64);
         let mut uniform = || {
             seed = seed
                 .wrapping_mul(6_364_136_223_846_793_005)
@@ -233,7 +237,7 @@ mod tests {
         };
         let mut normal = || (0..12).map(|_| uniform()).sum::<f64>();
         let mut meter = WalkMeter::new();
-        for k in 0..10_000 {
+        for k in 0..60 * rate_hz {
             let t = f64::from(k) * dt;
             let knock = if knocks && k % 1000 == 999 { 0.1 * dt } else { 0.0 };
             let rate = 10.0 * units::DEG * 1.26 * math::sin_cos(1.26 * t).0;
@@ -255,11 +259,15 @@ mod tests {
 
     #[test]
     fn a_walk_is_measured_on_a_swinging_base() {
-        let walk = 0.05 * units::DEG_PER_SQRT_HOUR;
-        let found = measured(walk, false);
-        assert!((found - 1.0).abs() < 0.03, "{found}");
+        let walk = 0.02 * units::DEG_PER_SQRT_HOUR;
+        for rate_hz in [20, 50, 200, 1000] {
+            let found = measured(walk, rate_hz, false);
+            assert!((found - 1.0).abs() < 0.08, "{rate_hz}: {found}");
+        }
+        // Of long samples nothing is said.
+        assert!((measured(walk, 10, false) - 0.1).abs() < 1e-9);
         // Ten knocks of 6 °/s, a thousand times the noise.
-        let found = measured(walk, true);
+        let found = measured(walk, 200, true);
         assert!((found - 1.0).abs() < 0.1, "{found}");
     }
 
@@ -272,9 +280,9 @@ mod tests {
             dt: 0.01,
             gap: 0.0,
         };
-        (0..400).for_each(|k| meter.push(&sample(k)));
+        (0..1000).for_each(|k| meter.push(&sample(k)));
         assert_eq!(meter.at_least(1e-6), 1e-6, "too few");
-        (400..4000).for_each(|k| meter.push(&sample(k)));
+        (1000..4000).for_each(|k| meter.push(&sample(k)));
         assert!(meter.at_least(1e-6) > 1e-5);
         assert_eq!(meter.at_least(1e-3), 1e-3);
     }
