@@ -644,7 +644,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             return event;
         }
         if let Stage::Coarse { walk, .. } = &mut self.stage {
-            walk.push(sample);
+            walk.samples.push(sample.dtheta_s, sample.dt, sample.gap > T::zero());
         }
         let increment = self.compensator.increment(sample);
         let joined = self.decimator.push(&increment);
@@ -707,9 +707,10 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             coarse,
             first,
             gyro_bias_z,
-            ..
+            walk,
         } = &mut self.stage
         {
+            walk.joined.push(joined.phi_s, joined.dt, false);
             coarse.push(&joined);
             gyro_bias_z.push(&joined, alpha, coarse.t(), self.config.t_k2);
             let half = T::lit(0.5) * joined.dt;

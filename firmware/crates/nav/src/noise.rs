@@ -2,8 +2,6 @@
 
 use frames::{Real, Sensor, Vec3, math, units};
 
-use crate::increment::Sample;
-
 /// Noise and bias figures of one IMU, equal on its three axes.
 ///
 /// | field | unit | zero means | \[Xing18\] Table 2 |
@@ -155,27 +153,67 @@ impl<T: Real> ImuNoise<T> {
     }
 }
 
-/// The angle random walk of the level gyros, measured by the sixth differences of samples in a row: white noise has 924 times
-/// its variance there, and what a base does within seven samples is not in it. About z the motor turns.
+/// The angle random walk of the level gyros, measured by samples and by the increments joined of them.
+///
+/// White noise of the angle itself, as quantisation makes it, adds as much of angle to both, and so the less the longer they are:
+/// with w what either tells, `w² = N² + c/dt`, and `N² = (w₂² dt₂ − w₁² dt₁)/(dt₂ − dt₁)`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct WalkMeter<T: Real> {
+    pub(crate) samples: Differences<T>,
+    pub(crate) joined: Differences<T>,
+}
+
+impl<T: Real> WalkMeter<T> {
+    /// Figures below this many of the told one are scatter, the rotor's reversals, or a little vibration.
+    const MORE: f64 = 1.5;
+
+    /// Of no sample.
+    pub(crate) fn new() -> Self {
+        Self {
+            samples: Differences::new(),
+            joined: Differences::new(),
+        }
+    }
+
+    /// The figure to go by, rad/√s: the one told, or what has been measured where that is clearly more.
+    pub(crate) fn at_least(&self, told: T) -> T {
+        let (Some((w1, dt1)), Some((w2, dt2))) = (self.samples.walk(), self.joined.walk()) else {
+            return told;
+        };
+        if dt2 < dt1 * T::lit(1.5) {
+            return told;
+        }
+        let square = (w2 * w2 * dt2 - w1 * w1 * dt1) / (dt2 - dt1);
+        let least = told * T::lit(Self::MORE);
+        if square > least * least {
+            math::sqrt(square)
+        } else {
+            told
+        }
+    }
+}
+
+/// Sixth differences of turns in a row: white noise of a rate has 924 times its variance there, and what a base does within seven
+/// samples is not in it. About z the motor turns.
 ///
 /// Third differences would do at 100 Hz. At 10 Hz they take a swing of 10° and 5 s for 24 times the noise of 0.02 °/√h.
 ///
 /// By the mean absolute value, and of no difference more than four times that: a knock, or a reversal of the rotor, is one sample
 /// in hundreds.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct WalkMeter<T: Real> {
+pub(crate) struct Differences<T: Real> {
     /// The last turns over √dt, the newest first, and how many of them there are.
     before: [Vec3<Sensor, T>; 6],
     held: u8,
     sum: T,
     count: T,
+    /// Sum of the intervals, s.
+    time: T,
 }
 
-impl<T: Real> WalkMeter<T> {
+impl<T: Real> Differences<T> {
     /// E|x| of the sixth difference of a normal variable of unit variance: √(924 · 2/π).
     const MEAN: f64 = 24.253_8;
-    /// Figures below this many of the told one are its own scatter, the digits of a sensor, or a little vibration.
-    const MORE: f64 = 1.2;
     /// Differences below which nothing is said. In 54 s there are as many from 19 Hz on; where samples are longer the
     /// rotor's reversals are too many of them.
     const ENOUGH: f64 = 2000.0;
@@ -183,20 +221,20 @@ impl<T: Real> WalkMeter<T> {
     const LARGEST: f64 = 4.0;
     const SETTLED: f64 = 200.0;
 
-    /// Of no sample.
-    pub(crate) fn new() -> Self {
+    fn new() -> Self {
         Self {
             before: [Vec3::zero(); 6],
             held: 0,
             sum: T::zero(),
             count: T::zero(),
+            time: T::zero(),
         }
     }
 
-    /// Adds a sample. Differences begin anew behind a gap.
-    pub(crate) fn push(&mut self, sample: &Sample<T>) {
-        let now = sample.dtheta_s / math::sqrt(sample.dt);
-        if sample.gap > T::zero() {
+    /// Adds a turn, rad, in `dt` seconds. Differences begin anew `behind_gap`.
+    pub(crate) fn push(&mut self, turn: Vec3<Sensor, T>, dt: T, behind_gap: bool) {
+        let now = turn / math::sqrt(dt);
+        if behind_gap {
             self.held = 0;
         }
         let [a, b, c, d, e, f] = self.before;
@@ -208,17 +246,17 @@ impl<T: Real> WalkMeter<T> {
                 self.sum += if settled { size.min(most) } else { size };
                 self.count += T::one();
             }
+            self.time += dt + dt;
         } else {
             self.held += 1;
         }
         self.before = [now, a, b, c, d, e];
     }
 
-    /// The figure to go by, rad/√s: the one told, or what has been measured where that is clearly more.
-    pub(crate) fn at_least(&self, told: T) -> T {
-        let measured = self.sum / (self.count * T::lit(Self::MEAN));
-        let more = self.count >= T::lit(Self::ENOUGH) && measured > told * T::lit(Self::MORE);
-        if more { measured } else { told }
+    /// What they tell of the walk, rad/√s, and the mean interval, s; `None` of too few.
+    fn walk(&self) -> Option<(T, T)> {
+        let enough = self.count >= T::lit(Self::ENOUGH);
+        enough.then(|| (self.sum / (self.count * T::lit(Self::MEAN)), self.time / self.count))
     }
 }
 
@@ -226,8 +264,9 @@ impl<T: Real> WalkMeter<T> {
 mod tests {
     use super::*;
 
-    /// Samples of white noise of `walk` for a minute, on a swing of 10° and 5 s, seen from a turning rotor, told a tenth of it.
-    fn measured(walk: f64, rate_hz: u32, knocks: bool) -> f64 {
+    /// A minute of white noise of `walk`, on a swing of 10° and 5 s seen from a turning rotor, told a tenth of it. The angle has
+    /// white noise of `angle_sd` as well, rad.
+    fn measured(walk: f64, angle_sd: f64, rate_hz: u32, knocks: bool) -> f64 {
         let (dt, mut seed) = (1.0 / f64::from(rate_hz), 1_u64);
         let mut uniform = || {
             seed = seed
@@ -237,22 +276,27 @@ mod tests {
         };
         let mut normal = || (0..12).map(|_| uniform()).sum::<f64>();
         let mut meter = WalkMeter::new();
+        let (joined_of, mut joined) = (rate_hz.div_ceil(20), Vec3::zero());
+        let mut before = [0.0; 2];
         for k in 0..60 * rate_hz {
             let t = f64::from(k) * dt;
-            let knock = if knocks && k % 1000 == 999 { 0.1 * dt } else { 0.0 };
+            let knock = if knocks && k % 4000 == 3999 { 0.1 * dt } else { 0.0 };
             let rate = 10.0 * units::DEG * 1.26 * math::sin_cos(1.26 * t).0;
             let (sin, cos) = math::sin_cos(0.35 * t);
             let noise = walk * math::sqrt(dt);
-            meter.push(&Sample {
-                dtheta_s: Vec3::new(
-                    rate * cos * dt + noise * normal() + knock,
-                    noise * normal() - rate * sin * dt,
-                    0.3 * dt,
-                ),
-                dv_s: Vec3::zero(),
-                dt,
-                gap: if k % 777 == 0 { dt } else { 0.0 },
-            });
+            let angle = [angle_sd * normal(), angle_sd * normal()];
+            let turn = Vec3::new(
+                rate * cos * dt + noise * normal() + angle[0] - before[0] + knock,
+                noise * normal() - rate * sin * dt + angle[1] - before[1],
+                0.3 * dt,
+            );
+            before = angle;
+            meter.samples.push(turn, dt, k % 777 == 0);
+            joined += turn;
+            if k % joined_of == joined_of - 1 {
+                meter.joined.push(joined, dt * f64::from(joined_of), false);
+                joined = Vec3::zero();
+            }
         }
         meter.at_least(0.1 * walk) / walk
     }
@@ -260,30 +304,35 @@ mod tests {
     #[test]
     fn a_walk_is_measured_on_a_swinging_base() {
         let walk = 0.02 * units::DEG_PER_SQRT_HOUR;
-        for rate_hz in [20, 50, 200, 1000] {
-            let found = measured(walk, rate_hz, false);
-            assert!((found - 1.0).abs() < 0.08, "{rate_hz}: {found}");
+        for rate_hz in [40, 100, 200, 1000] {
+            let found = measured(walk, 0.0, rate_hz, false);
+            assert!((found - 1.0).abs() < 0.2, "{rate_hz}: {found}");
+            // Of an angle that is quantised as much is there, and no walk.
+            let found = measured(walk, 3.0 * walk * 0.1, rate_hz, false);
+            assert!((found - 1.0).abs() < 0.35, "{rate_hz}: {found}");
         }
         // Of long samples nothing is said.
-        assert!((measured(walk, 10, false) - 0.1).abs() < 1e-9);
-        // Ten knocks of 6 °/s, a thousand times the noise.
-        let found = measured(walk, 200, true);
-        assert!((found - 1.0).abs() < 0.1, "{found}");
+        assert!((measured(walk, 0.0, 10, false) - 0.1).abs() < 1e-9);
+        // A knock of 6 °/s every 20 s, a thousand times the noise.
+        let found = measured(walk, 0.0, 200, true);
+        assert!((found - 1.0).abs() < 0.35, "{found}");
     }
 
     #[test]
     fn the_figure_told_stands_until_more_is_measured() {
         let mut meter = WalkMeter::<f64>::new();
-        let sample = |k: u32| Sample {
-            dtheta_s: Vec3::new(if k.is_multiple_of(2) { 1e-5 } else { -1e-5 }, 0.0, 0.0),
-            dv_s: Vec3::zero(),
-            dt: 0.01,
-            gap: 0.0,
+        let turn = |k: u32| Vec3::new(if k.is_multiple_of(2) { 1e-5 } else { -1e-5 }, 0.0, 0.0);
+        let mut push = |from: u32, to: u32| {
+            for k in from..to {
+                meter.samples.push(turn(k), 0.01, false);
+                meter.joined.push(turn(k), 0.05, false);
+            }
+            meter
         };
-        (0..1000).for_each(|k| meter.push(&sample(k)));
-        assert_eq!(meter.at_least(1e-6), 1e-6, "too few");
-        (1000..4000).for_each(|k| meter.push(&sample(k)));
-        assert!(meter.at_least(1e-6) > 1e-5);
+        assert_eq!(push(0, 1000).at_least(1e-6), 1e-6, "too few");
+        let meter = push(1000, 4000);
+        // As much of angle in long increments as in short ones is none of a walk.
+        assert_eq!(meter.at_least(1e-6), 1e-6);
         assert_eq!(meter.at_least(1e-3), 1e-3);
     }
 
