@@ -88,22 +88,20 @@ static RECEIVED: StaticCell<[u8; RECEIVE]> = StaticCell::new();
 /// The resources of the unit: each is named once, here, and handed out by type.
 macro_rules! resources {
     (
-        pins { $($signal:ident: $pin:ident = $function:literal,)* }
-        units { $($unit:ident: $peripheral:ident,)* }
+        pins { $($(#[$fitted:meta])? $signal:ident: $pin:ident = $function:literal,)* }
+        units { $($(#[$used:meta])? $unit:ident: $peripheral:ident,)* }
     ) => {
         /// The pin of each signal.
         #[allow(non_camel_case_types, dead_code, reason = "named as the signals are; for those that need a pin by type")]
         mod pin {
             use embassy_stm32::peripherals;
-            $(#[doc = $function] pub type $signal = peripherals::$pin;)*
+            $($(#[$fitted])? #[doc = $function] pub type $signal = peripherals::$pin;)*
         }
-        #[allow(dead_code, reason = "those of the serial port that is not in use")]
-        struct Pins { $(#[doc = $function] $signal: Peri<'static, pin::$signal>,)* }
-        #[allow(dead_code, reason = "as above")]
-        struct Units { $($unit: Peri<'static, peripherals::$peripheral>,)* }
+        struct Pins { $($(#[$fitted])? #[doc = $function] $signal: Peri<'static, pin::$signal>,)* }
+        struct Units { $($(#[$used])? $unit: Peri<'static, peripherals::$peripheral>,)* }
 
         fn split(p: Peripherals) -> (Pins, Units) {
-            (Pins { $($signal: p.$pin,)* }, Units { $($unit: p.$peripheral,)* })
+            (Pins { $($(#[$fitted])? $signal: p.$pin,)* }, Units { $($(#[$used])? $unit: p.$peripheral,)* })
         }
     };
 }
@@ -127,9 +125,13 @@ resources! {
         motor_enable: PF15 = "GPIO out",
         home_below: PF13 = "GPIO in",
         home_above: PF14 = "GPIO in",
+        #[cfg(not(feature = "usart2"))]
         serial_tx: PD8 = "USART3 TX",
+        #[cfg(not(feature = "usart2"))]
         serial_rx: PD9 = "USART3 RX",
+        #[cfg(feature = "usart2")]
         line_tx: PD5 = "USART2 TX",
+        #[cfg(feature = "usart2")]
         line_rx: PD6 = "USART2 RX",
         held_low: PA12 = "GPIO out",
     }
@@ -142,11 +144,17 @@ resources! {
         encoder_tx: DMA1_CH7,
         encoder_rx: DMA1_CH0,
         motor_timer: TIM1,
+        #[cfg(not(feature = "usart2"))]
         serial: USART3,
+        #[cfg(not(feature = "usart2"))]
         serial_dma_tx: DMA1_CH3,
+        #[cfg(not(feature = "usart2"))]
         serial_dma_rx: DMA1_CH1,
+        #[cfg(feature = "usart2")]
         line: USART2,
+        #[cfg(feature = "usart2")]
         line_dma_tx: DMA1_CH6,
+        #[cfg(feature = "usart2")]
         line_dma_rx: DMA1_CH5,
         flash: FLASH,
     }

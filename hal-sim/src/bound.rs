@@ -696,6 +696,12 @@ mod tests {
         assert_eq!(with.states, 21);
         assert!(with.end.sd.heading_deg >= before);
         near(with.end.sd.heading_deg, before, 0.02);
+        // With the rotor at rest a misalignment of 3' tilts the vertical by as much, what is known of it at first left out.
+        let mut scenario = builtin("static");
+        scenario.rotor.rate_dps = 0.0;
+        scenario.imu.accel_misalignment_sd_arcmin = 3.0;
+        let tilt = bound(&scenario, 1).end.sd.pitch_deg;
+        near(tilt, (0.05_f64.powi(-2) + 0.2_f64.powi(-2)).powf(-0.5), 0.02);
     }
 
     /// The bias that the table shows is the sum that a filter is judged by: at the start both parts' priors.

@@ -8,7 +8,9 @@ use app::record::Taken;
 use frames::math::wrap_pi;
 use frames::units::{DEG, DEG_PER_SQRT_HOUR, MICRO_G_PER_SQRT_HZ};
 use nav::aligner::{Aligner, AlignerError, Event};
+use nav::increment::Sample;
 use nav::model::{PAPER, ROBUST};
+use nav::noise::WhiteNoise;
 use nav::rotor::RotorConfig;
 use serde::Serialize;
 
@@ -126,47 +128,24 @@ const MEASURED_ROWS: usize = 60_000;
 /// The figures for a log without a description of its IMU: those of an unknown tactical MEMS IMU, with the white noise of the
 /// log's first rows.
 ///
-/// The third difference of white noise has 20 times its variance, and a swing is not in it. Of the gyros the level ones
-/// count: about z the motor turns. A median does not see the rotor's reversals.
+/// Of the gyros the level ones count: about z the motor turns.
 ///
 /// A log that is broken is measured as far as it can be read: the replay says what is wrong with it.
-pub fn measured<R: BufRead>(mut log: LogReader<R>) -> Unit {
-    const CHANNELS: usize = 5;
-    let mut squares: [Vec<f64>; CHANNELS] = Default::default();
-    let mut before: Vec<[f64; CHANNELS]> = Vec::new();
-    while let Some(Ok(row)) = log.next() {
-        if row.gap.is_some() {
-            before.clear();
-        }
-        // Of a rate that is white noise, its variance times the interval is the density, whatever the interval.
-        let root = row.dt_s.max(0.0).sqrt();
-        let (w, f) = (row.w_is_s, row.f_is_s);
-        before.push([w.x(), w.y(), f.x(), f.y(), f.z()].map(|x| x * root));
-        if let [a, b, c, d] = before[..] {
-            for (k, squares) in squares.iter_mut().enumerate() {
-                squares.push((d[k] - 3.0 * c[k] + 3.0 * b[k] - a[k]).powi(2) / 20.0);
-            }
-            before.remove(0);
-        }
-        if squares[0].len() >= MEASURED_ROWS {
-            break;
+pub fn measured<R: BufRead>(log: LogReader<R>) -> Unit {
+    let (mut gyro, mut accel) = (WhiteNoise::new(), WhiteNoise::new());
+    for row in log.take(MEASURED_ROWS).map_while(Result::ok) {
+        let Sample { dtheta_s, dv_s, dt, .. } = row.sample();
+        if dt > 0.0 {
+            gyro.push(dtheta_s, dt, row.gap.is_some());
+            accel.push(dv_s, dt, row.gap.is_some());
         }
     }
-    let density = |squares: &mut Vec<f64>| {
-        squares.sort_by(f64::total_cmp);
-        // Half the squares of a normal variable are below 0.455 of its variance. Coarse digits may make the median zero.
-        match squares.get(squares.len() / 2) {
-            Some(median) if *median > 0.0 => median / 0.455,
-            Some(_) => squares.iter().sum::<f64>() / squares.len() as f64,
-            None => 0.0,
-        }
-    };
-    let [wx, wy, fx, fy, fz] = squares.each_mut().map(density);
+    let ([wx, wy, _], f) = (gyro.density(), accel.density());
     // Rounded, and never zero: that would say that there is no noise.
     let white = |figure: f64, unit: f64, steps: f64| ((figure / unit * steps).round() / steps).max(1.0 / steps);
     Unit {
-        angle_random_walk_deg_sqrt_h: white((0.5 * (wx + wy)).sqrt(), DEG_PER_SQRT_HOUR, 1e4),
-        velocity_random_walk_ug_sqrt_hz: white(((fx + fy + fz) / 3.0).sqrt(), MICRO_G_PER_SQRT_HZ, 1e2),
+        angle_random_walk_deg_sqrt_h: white(0.5 * (wx + wy), DEG_PER_SQRT_HOUR, 1e4),
+        velocity_random_walk_ug_sqrt_hz: white(f.into_iter().sum::<f64>() / 3.0, MICRO_G_PER_SQRT_HZ, 1e2),
         ..Unit::of_part(&parts::UNKNOWN)
     }
 }

@@ -145,10 +145,10 @@ fn half_a_degree_per_second_of_bias_is_found() {
     }
 }
 
-/// Gyros with more than four times the random walk told, on a base whose sway hides it from the innovations: σ follows what is
-/// measured. By the figure told all runs were `aligned`, with σ = 0.8° and (error/σ)² = 4.8.
+/// Gyros with more than four times the configured random walk, on a base whose sway hides it from the innovations: σ follows what
+/// is measured. By the configured figure all runs were `aligned`, with σ = 0.8° and (error/σ)² = 4.8 (100 runs of another seed).
 #[test]
-fn a_random_walk_that_is_told_too_small_shows_in_sigma() {
+fn a_random_walk_that_is_configured_too_small_shows_in_sigma() {
     let mut scenario = Scenario::builtin("moored").unwrap();
     scenario.told = Some(scenario.imu.clone());
     scenario.imu.angle_random_walk_deg_sqrt_h = 0.09;

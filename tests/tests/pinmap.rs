@@ -17,11 +17,12 @@ fn read(path: &str) -> String {
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// The lines `signal: PIN = "function",` of the block `pins { … }`.
+/// The lines `signal: PIN = "function",` of the block `pins { … }`, whatever feature they are for.
 fn of_board(source: &str) -> PinMap {
     let (_, rest) = source.split_once("\n    pins {\n").expect("a block of pins");
     let (block, _) = rest.split_once("\n    }\n").expect("its end");
-    collect(block.lines().map(|line| {
+    let signals = block.lines().filter(|line| !line.trim().starts_with("#["));
+    collect(signals.map(|line| {
         let (signal, rest) = line.trim().split_once(": ").expect(line);
         let (pin, function) = rest.split_once(" = ").expect(line);
         let function = function.strip_suffix(',').expect(line).trim_matches('"');

@@ -628,6 +628,7 @@ mod tests {
     use drivers::Channels;
 
     use super::*;
+    use crate::chance::normal;
     use crate::settings::ThermalRow;
 
     #[test]
@@ -733,8 +734,8 @@ mod tests {
         }
     }
 
-    /// Gyros with `times` the noise that the calibration is told, on a base at rest; 60 blocks of a second tell their
-    /// variance to 18 %, and the worst of three axes counts.
+    /// Gyros with `times` the configured noise, on a base at rest. Their variance is known to 18 % from 60 blocks of a
+    /// second, and the worst of three axes counts.
     fn rests(times: f32, seed: u64) -> Result<(), CalibrationError> {
         let config = CalibrationConfig::<f32> {
             w_ie_b: Some(Vec3::zero()),
@@ -744,20 +745,9 @@ mod tests {
         let sd = times * config.angle_random_walk * math::sqrt(dt);
         let mut calibrator = Calibrator::new(config).unwrap();
         let mut state = seed;
-        // Twelve numbers of a generator (Knuth's) have the variance of one.
-        let mut normal = || {
-            let sum: f32 = (0..12)
-                .map(|_| {
-                    state = state
-                        .wrapping_mul(6_364_136_223_846_793_005)
-                        .wrapping_add(1_442_695_040_888_963_407);
-                    (state >> 40) as f32 / 16_777_216.0 - 0.5
-                })
-                .sum();
-            sd * sum
-        };
+        let mut noise = || sd * normal(&mut state);
         let mut sample = || Sample {
-            dtheta_s: Vec3::new(normal(), normal(), normal()),
+            dtheta_s: Vec3::new(noise(), noise(), noise()),
             dv_s: Vec3::new(0.0, 0.0, 9.8 * dt),
             dt,
             gap: 0.0,

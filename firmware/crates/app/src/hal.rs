@@ -144,7 +144,7 @@ pub trait Supply {
     fn is_enough(&mut self) -> bool;
 
     /// Whether a supply that falls while flash is written ends in a reset before it is too low: a save that is cut off
-    /// is told from a whole one, see [`Store`](crate::settings::Store).
+    /// is distinguished from a whole one, see [`Store`](crate::settings::Store).
     fn is_guarded(&self) -> bool;
 }
 

@@ -44,6 +44,8 @@ extern crate std;
 
 pub mod alignment;
 pub mod blackbox;
+#[cfg(test)]
+mod chance;
 pub mod command;
 pub mod console;
 pub mod fault;

@@ -10,15 +10,14 @@
 //! | motor direction, pole pairs, free travel | the rotor's calibration and search | [`RotorFault`](crate::rotor::RotorFault) |
 //!
 //! On a base that swings nothing can be said of Earth's rate in a second: it is judged only where the
-//! spread of the rate shows rest. Its gyros' noise can be told all the same: the third differences of the rate hold
-//! next to nothing of a swing (of 8 °/s at 0.5 Hz as much as of 0.0001 °/√h at 200 Hz), and 20 times the variance of
-//! white noise. Vibration is in them as noise is, and filters within the IMU hide some: it is a warning, no more.
+//! spread of the rate shows rest. Its gyros' noise is measured all the same ([`WhiteNoise`]). Vibration counts as noise
+//! there, and filters within the IMU hide some: it is a warning, no more.
 
 use drivers::Error;
 use frames::{Sensor, Vec3, math, units, wording};
 use nav::earth::OMEGA_IE;
 use nav::increment::Sample;
-use nav::noise::ImuNoise;
+use nav::noise::{ImuNoise, WhiteNoise};
 
 use crate::figure::{deg, deg_h, figure};
 
@@ -160,13 +159,7 @@ pub struct Inspection {
     force: Vec3<Sensor>,
     /// Sums of squares about the running mean (Welford).
     squares: [f32; 3],
-    /// The last rates, the newest first.
-    rates: [Vec3<Sensor>; 3],
-    /// Of those, how many follow each other without a gap.
-    row: u8,
-    /// Sums of squared third differences times dt, and how many.
-    rough: [f32; 3],
-    roughs: u16,
+    noise: WhiteNoise,
 }
 
 impl Inspection {
@@ -178,10 +171,7 @@ impl Inspection {
             rate: Vec3::zero(),
             force: Vec3::zero(),
             squares: [0.0; 3],
-            rates: [Vec3::zero(); 3],
-            row: 0,
-            rough: [0.0; 3],
-            roughs: 0,
+            noise: WhiteNoise::new(),
         }
     }
 
@@ -197,24 +187,8 @@ impl Inspection {
             *sum += b * a;
         }
         self.force = self.force + (sample.dv_s / sample.dt - self.force) / n;
-        self.roughness(rate, sample);
+        self.noise.push(sample.dtheta_s, sample.dt, sample.gap > 0.0);
         (self.count >= self.config.samples).then(|| self.verdict(n))
-    }
-
-    fn roughness(&mut self, rate: Vec3<Sensor>, sample: &Sample) {
-        if sample.gap > 0.0 {
-            self.row = 0;
-        }
-        let [a, b, c] = self.rates;
-        if self.row == 3 {
-            let third = (rate - (a - b) * 3.0 - c).to_array();
-            for (sum, x) in self.rough.iter_mut().zip(third) {
-                *sum += x * x * sample.dt;
-            }
-            self.roughs += 1;
-        }
-        self.rates = [rate, a, b];
-        self.row = (self.row + 1).min(3);
     }
 
     fn verdict(&self, n: f32) -> Result<Found, Failure> {
@@ -224,8 +198,7 @@ impl Inspection {
             gravity: self.force.norm(),
             rate: self.rate.norm(),
             rate_sd: sds.into_iter().fold(0.0, f32::max),
-            // White noise has 1 + 9 + 9 + 1 times its variance in them.
-            noise: math::sqrt(self.rough.into_iter().fold(0.0, f32::max) / (20.0 * f32::from(self.roughs.max(1)))),
+            noise: self.noise.density().into_iter().fold(0.0, f32::max),
             noise_told: c.angle_random_walk,
         };
         if (found.gravity - c.gravity).abs() > c.gravity_share * c.gravity {
@@ -259,6 +232,7 @@ impl Inspection {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chance::normal;
 
     fn inspect(rate: impl Fn(u16) -> [f32; 3], force: f32) -> Result<Found, Failure> {
         let mut inspection = Inspection::new(InspectionConfig::for_imu(&ImuNoise::default()));
@@ -315,17 +289,8 @@ mod tests {
         move |k| {
             let swing = 0.14 * math::sin_cos(0.0157 * f32::from(k)).0;
             core::array::from_fn(|axis| {
-                // Twelve numbers of a generator (Knuth's) have the variance of one.
-                let mut state = (u64::from(k) * 3 + axis as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-                let normal: f32 = (0..12)
-                    .map(|_| {
-                        state = state
-                            .wrapping_mul(6_364_136_223_846_793_005)
-                            .wrapping_add(1_442_695_040_888_963_407);
-                        (state >> 40) as f32 / 16_777_216.0 - 0.5
-                    })
-                    .sum();
-                swing + sd * normal
+                let mut state = (u64::from(k) * 3 + axis as u64 + 1) << 32;
+                swing + sd * normal(&mut state)
             })
         }
     }

@@ -304,6 +304,7 @@ mod tests {
     use frames::{Body, units::DEG};
 
     use super::*;
+    use crate::chance::Chance;
     use crate::rotor::{RotorConfig, Schedule};
 
     /// A still, tilted housing under a turning rotor, without any error; points at every whole second.
@@ -450,27 +451,6 @@ mod tests {
         assert!((by_gyro - 27e-3).abs() < 0.5e-3, "{by_gyro}");
         assert!((by_accel - 0.1 / earth.gravity()).abs() < 0.05 * by_accel, "{by_accel}");
         assert!((sd(1e-3, 0.1) - math::hypot(by_gyro, by_accel)).abs() < 1e-12);
-    }
-
-    /// Chance, seeded: SplitMix64.
-    struct Chance(u64);
-
-    impl Chance {
-        fn uniform(&mut self) -> f64 {
-            self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-            let x = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            ((x ^ (x >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-        }
-
-        /// Of twelve uniform ones, near enough to a normal one: only variances count here.
-        fn normal(&mut self) -> f64 {
-            (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
-        }
-
-        fn normals(&mut self) -> Vec3<Sensor, f64> {
-            Vec3::new(self.normal(), self.normal(), self.normal())
-        }
     }
 
     /// RMS of φ east, north and up over the predicted one, of 400 runs of a rotor in a still housing at this pitch and roll.

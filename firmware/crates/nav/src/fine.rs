@@ -1276,6 +1276,32 @@ mod tests {
         }
     }
 
+    /// The error that closing leaves is the one that the same steps give which its covariance takes.
+    fn closes_by_its_covariance(filter: &FineFilter<f32>) {
+        let mut filter = *filter;
+        // A length that is off, so that it says something of every state.
+        filter.error[WE].y += 0.1 * filter.earth.w_north();
+        let found = filter.closed_error(&filter.error);
+        filter.turn_to_north();
+        let mut to_heading = Matrix3::zeros();
+        to_heading[(2, 0)] = 1.0 / filter.earth.w_north();
+        let mut gone = Matrix3::zeros();
+        gone[(0, 0)] = -1.0;
+        let couplings = [(PHI, to_heading), (WE, gone)].map(|(row, block)| Coupling { row, col: WE, block });
+        filter.covariance.propagate(&couplings);
+        let mut expected = propagated(&filter.error, &couplings);
+        let residual = -expected[WE].y;
+        let gain = filter.covariance.update(WE, 1, filter.length_var());
+        for (part, column) in expected.iter_mut().zip(&gain.column) {
+            *part += column * residual;
+        }
+        assert!(residual.abs() > 0.05 * filter.earth.w_north());
+        for (block, (found, expected)) in found.iter().zip(&expected).enumerate() {
+            let most = 1e-3 * expected.amax().max((gain.column[block] * residual).amax());
+            assert!((found - expected).amax() <= most, "{block}: {found} {expected}");
+        }
+    }
+
     /// The same heading and σ of it, to the loop's closing and beyond.
     #[test]
     fn closing_the_loop_changes_no_estimate() {
@@ -1298,6 +1324,7 @@ mod tests {
             step(&mut filter);
         }
         let (before, sd) = (filter.solution(), filter.phi_covariance());
+        closes_by_its_covariance(&filter);
         filter.closing = true;
         filter.feed_back();
         let (after, sd_after) = (filter.solution(), filter.phi_covariance());

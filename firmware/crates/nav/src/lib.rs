@@ -41,6 +41,8 @@
 
 pub mod aligner;
 pub mod calibration;
+#[cfg(test)]
+mod chance;
 pub mod coarse;
 pub mod constraint;
 pub mod covariance;

@@ -156,140 +156,151 @@ impl<T: Real> ImuNoise<T> {
 /// The angle random walk of the level gyros, measured by samples and by the increments joined of them.
 ///
 /// White noise of the angle itself, as quantisation makes it, adds as much of angle to both, and so the less the longer they are:
-/// with w what either tells, `w² = N² + c/dt`, and `N² = (w₂² dt₂ − w₁² dt₁)/(dt₂ − dt₁)`.
+/// with w what either shows, `w² = N² + c/dt`, and `N² = (w₂² dt₂ − w₁² dt₁)/(dt₂ − dt₁)`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct WalkMeter<T: Real> {
-    pub(crate) samples: Differences<T>,
-    pub(crate) joined: Differences<T>,
+    pub(crate) samples: WhiteNoise<T>,
+    pub(crate) joined: WhiteNoise<T>,
 }
 
 impl<T: Real> WalkMeter<T> {
-    /// Figures below this many of the told one are scatter, the rotor's reversals, or a little vibration.
+    /// Figures below this many of the configured one are scatter, the rotor's reversals, or a little vibration.
     const MORE: f64 = 1.5;
+    /// Differences below which nothing is concluded. In 54 s there are as many from 19 Hz on; where samples are longer, the
+    /// rotor's reversals are too many of them.
+    const ENOUGH: f64 = 1000.0;
 
     /// Of no sample.
     pub(crate) fn new() -> Self {
         Self {
-            samples: Differences::new(),
-            joined: Differences::new(),
+            samples: WhiteNoise::new(),
+            joined: WhiteNoise::new(),
         }
     }
 
-    /// The figure to go by, rad/√s: the one told, or what has been measured where that is clearly more.
-    pub(crate) fn at_least(&self, told: T) -> T {
-        let (Some((w1, dt1)), Some((w2, dt2))) = (self.samples.walk(), self.joined.walk()) else {
-            return told;
-        };
-        if dt2 < dt1 * T::lit(1.5) {
-            return told;
+    /// The figure to use, rad/√s: the configured one, or what has been measured where that is clearly more.
+    pub(crate) fn at_least(&self, configured: T) -> T {
+        let [(w1, dt1), (w2, dt2)] = [&self.samples, &self.joined].map(|noise| {
+            // About z the motor turns.
+            let [x, y, _] = noise.density();
+            ((x + y) * T::lit(0.5), noise.interval())
+        });
+        let few = self.samples.count.min(self.joined.count) < T::lit(Self::ENOUGH);
+        if few || dt2 < dt1 * T::lit(1.5) {
+            return configured;
         }
         let square = (w2 * w2 * dt2 - w1 * w1 * dt1) / (dt2 - dt1);
-        let least = told * T::lit(Self::MORE);
+        let least = configured * T::lit(Self::MORE);
         if square > least * least {
             math::sqrt(square)
         } else {
-            told
+            configured
         }
     }
 }
 
-/// Sixth differences of turns in a row: white noise of a rate has 924 times its variance there, and what a base does within seven
-/// samples is not in it. About z the motor turns.
+/// White noise of a sensor, by the sixth differences of its increments in a row: they have 924 times its variance, and what a
+/// base does within seven samples is not in them.
 ///
-/// Third differences would do at 100 Hz. At 10 Hz they take a swing of 10° and 5 s for 24 times the noise of 0.02 °/√h.
+/// Third differences have enough of that at 10 Hz to make three times the σ of heading: 1.07° instead of 0.35° with 0.02 °/√h and
+/// a swing of 10° and 5 s.
 ///
 /// By the mean absolute value, and of no difference more than four times that: a knock, or a reversal of the rotor, is one sample
 /// in hundreds.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Differences<T: Real> {
-    /// The last turns over √dt, the newest first, and how many of them there are.
+pub struct WhiteNoise<T: Real = f32> {
+    /// The last increments over √dt, the newest first, and how many of them there are.
     before: [Vec3<Sensor, T>; 6],
     held: u8,
-    sum: T,
+    /// Sums of the sizes of the differences, by axis, and their number.
+    sums: [T; 3],
     count: T,
     /// Sum of the intervals, s.
     time: T,
 }
 
-impl<T: Real> Differences<T> {
-    /// E|x| of the sixth difference of a normal variable of unit variance: √(924 · 2/π).
-    const MEAN: f64 = 24.253_8;
-    /// Differences below which nothing is said. In 54 s there are as many from 19 Hz on; where samples are longer the
-    /// rotor's reversals are too many of them.
-    const ENOUGH: f64 = 2000.0;
-    /// One is cut to so many times the mean, once there is a mean of so many.
-    const LARGEST: f64 = 4.0;
-    const SETTLED: f64 = 200.0;
+impl<T: Real> Default for WhiteNoise<T> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
 
-    fn new() -> Self {
+impl<T: Real> WhiteNoise<T> {
+    /// E|x| of the sixth difference of a normal variable of unit variance: √(924 · 2/π).
+    const MEAN: f64 = 24.253_6;
+    /// A difference is limited to this many times the mean …
+    const LARGEST: f64 = 4.0;
+    /// … of so many before it.
+    const SETTLED: f64 = 100.0;
+
+    /// Of no increment.
+    pub fn new() -> Self {
         Self {
             before: [Vec3::zero(); 6],
             held: 0,
-            sum: T::zero(),
+            sums: [T::zero(); 3],
             count: T::zero(),
             time: T::zero(),
         }
     }
 
-    /// Adds a turn, rad, in `dt` seconds. Differences begin anew `behind_gap`.
-    pub(crate) fn push(&mut self, turn: Vec3<Sensor, T>, dt: T, behind_gap: bool) {
-        let now = turn / math::sqrt(dt);
+    /// Adds an increment of `dt` seconds: a turn, rad, or a velocity, m/s. Differences begin anew `behind_gap`.
+    // Once in an image, though there are three to call it.
+    #[inline(never)]
+    pub fn push(&mut self, increment: Vec3<Sensor, T>, dt: T, behind_gap: bool) {
+        let now = increment / math::sqrt(dt);
         if behind_gap {
             self.held = 0;
         }
         let [a, b, c, d, e, f] = self.before;
         if self.held == 6 {
             let difference = now + f - (a + e) * T::lit(6.0) + (b + d) * T::lit(15.0) - c * T::lit(20.0);
-            for size in [difference.x().abs(), difference.y().abs()] {
-                let settled = self.count >= T::lit(Self::SETTLED);
-                let most = self.sum / self.count * T::lit(Self::LARGEST);
-                self.sum += if settled { size.min(most) } else { size };
-                self.count += T::one();
+            let settled = self.count >= T::lit(Self::SETTLED);
+            for (sum, x) in self.sums.iter_mut().zip(difference.to_array()) {
+                let size = x.abs();
+                let most = *sum / self.count * T::lit(Self::LARGEST);
+                *sum += if settled { size.min(most) } else { size };
             }
-            self.time += dt + dt;
+            self.count += T::one();
+            self.time += dt;
         } else {
             self.held += 1;
         }
         self.before = [now, a, b, c, d, e];
     }
 
-    /// What they tell of the walk, rad/√s, and the mean interval, s; `None` of too few.
-    fn walk(&self) -> Option<(T, T)> {
-        let enough = self.count >= T::lit(Self::ENOUGH);
-        enough.then(|| (self.sum / (self.count * T::lit(Self::MEAN)), self.time / self.count))
+    /// Its density by axis: rad/√s of turns, m/s/√s of velocities. Zero where there were less than seven increments.
+    pub fn density(&self) -> [T; 3] {
+        let count = self.count.max(T::one());
+        self.sums.map(|sum| sum / (count * T::lit(Self::MEAN)))
+    }
+
+    /// Mean interval, s.
+    fn interval(&self) -> T {
+        self.time / self.count.max(T::one())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chance::Chance;
 
-    /// A minute of white noise of `walk`, on a swing of 10° and 5 s seen from a turning rotor, told a tenth of it. The angle has
-    /// white noise of `angle_sd` as well, rad.
+    /// A minute of white noise of `walk`, on a swing of 10° and 5 s seen from a turning rotor, with a tenth of it configured. The
+    /// angle has white noise of `angle_sd` as well, rad.
     fn measured(walk: f64, angle_sd: f64, rate_hz: u32, knocks: bool) -> f64 {
-        let (dt, mut seed) = (1.0 / f64::from(rate_hz), 1_u64);
-        let mut uniform = || {
-            seed = seed
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (seed >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
-        };
-        let mut normal = || (0..12).map(|_| uniform()).sum::<f64>();
+        let (dt, mut chance) = (1.0 / f64::from(rate_hz), Chance(1));
         let mut meter = WalkMeter::new();
         let (joined_of, mut joined) = (rate_hz.div_ceil(20), Vec3::zero());
-        let mut before = [0.0; 2];
+        let mut before = Vec3::zero();
         for k in 0..60 * rate_hz {
             let t = f64::from(k) * dt;
             let knock = if knocks && k % 4000 == 3999 { 0.1 * dt } else { 0.0 };
             let rate = 10.0 * units::DEG * 1.26 * math::sin_cos(1.26 * t).0;
             let (sin, cos) = math::sin_cos(0.35 * t);
-            let noise = walk * math::sqrt(dt);
-            let angle = [angle_sd * normal(), angle_sd * normal()];
-            let turn = Vec3::new(
-                rate * cos * dt + noise * normal() + angle[0] - before[0] + knock,
-                noise * normal() - rate * sin * dt + angle[1] - before[1],
-                0.3 * dt,
-            );
+            let base = Vec3::new(rate * cos * dt + knock, -rate * sin * dt, 0.3 * dt);
+            let angle = chance.normals() * angle_sd;
+            let turn = base + chance.normals() * (walk * math::sqrt(dt)) + angle - before;
             before = angle;
             meter.samples.push(turn, dt, k % 777 == 0);
             joined += turn;
@@ -307,8 +318,10 @@ mod tests {
         for rate_hz in [40, 100, 200, 1000] {
             let found = measured(walk, 0.0, rate_hz, false);
             assert!((found - 1.0).abs() < 0.2, "{rate_hz}: {found}");
-            // Of an angle that is quantised as much is there, and no walk.
-            let found = measured(walk, 3.0 * walk * 0.1, rate_hz, false);
+        }
+        // An angle that is quantised: short increments show 4 to 12 times the walk.
+        for rate_hz in [100, 200, 1000] {
+            let found = measured(walk, 0.2 * walk, rate_hz, false);
             assert!((found - 1.0).abs() < 0.35, "{rate_hz}: {found}");
         }
         // Of long samples nothing is said.
@@ -319,21 +332,30 @@ mod tests {
     }
 
     #[test]
-    fn the_figure_told_stands_until_more_is_measured() {
+    fn the_configured_walk_stands_until_more_is_measured() {
         let mut meter = WalkMeter::<f64>::new();
-        let turn = |k: u32| Vec3::new(if k.is_multiple_of(2) { 1e-5 } else { -1e-5 }, 0.0, 0.0);
-        let mut push = |from: u32, to: u32| {
-            for k in from..to {
-                meter.samples.push(turn(k), 0.01, false);
-                meter.joined.push(turn(k), 0.05, false);
+        let mut chance = Chance(2);
+        let mut push = |count: u32| {
+            for _ in 0..count {
+                meter.samples.push(chance.normals() * 0.1, 0.01, false);
+                meter.joined.push(chance.normals() * math::sqrt(0.05), 0.05, false);
             }
             meter
         };
-        assert_eq!(push(0, 1000).at_least(1e-6), 1e-6, "too few");
-        let meter = push(1000, 4000);
+        assert_eq!(push(900).at_least(0.1), 0.1, "too few");
+        let meter = push(3000);
+        assert!((meter.at_least(0.1) - 1.0).abs() < 0.1);
+        assert_eq!(meter.at_least(0.8), 0.8);
         // As much of angle in long increments as in short ones is none of a walk.
-        assert_eq!(meter.at_least(1e-6), 1e-6);
-        assert_eq!(meter.at_least(1e-3), 1e-3);
+        let same = WalkMeter {
+            samples: WhiteNoise {
+                time: meter.joined.time * 0.2,
+                sums: meter.joined.sums.map(|sum| sum * math::sqrt(5.0)),
+                ..meter.joined
+            },
+            ..meter
+        };
+        assert_eq!(same.at_least(0.1), 0.1);
     }
 
     #[test]
