@@ -8,6 +8,7 @@ use frames::units::{
 use frames::{Attitude, AttitudeSd, Real, Sensor, Vec3};
 use nav::aligner::{Aligner, AlignerConfig, AlignerError, Estimate, Event, Mode, NotReady, Restart};
 use nav::constraint::ConstraintConfig;
+use nav::deviation::Deviation;
 use nav::fine::{self, EncoderConstraint, FilterConfig};
 use nav::increment::Sample;
 use nav::model::ROBUST;
@@ -62,6 +63,8 @@ pub struct Setup {
     pub rotor: RotorConfig<f64>,
     /// What the IMU is said to be.
     pub unit: Unit,
+    /// What is known of the gyro error that is constant in the housing.
+    pub deviation: Option<Deviation<f64>>,
     /// The fine filter.
     pub method: Method,
     /// That the base is fixed to Earth, and how well the encoder measures it by that: 1σ of an angle read, arcsec.
@@ -88,6 +91,7 @@ impl Setup {
                 acceleration: scenario.rotor.acceleration_dps2 * DEG,
             },
             unit,
+            deviation: None,
             method,
             encoder_constraint_arcsec: scenario.encoder.constraint_sd_arcsec,
         }
@@ -97,6 +101,11 @@ impl Setup {
     pub fn config<T: Real, const B: usize>(&self) -> AlignerConfig<T, B> {
         let filter = FilterConfig {
             noise: noise(&self.unit),
+            deviation: self.deviation.map(|known| Deviation {
+                rate_b: known.rate_b.map(T::lit),
+                force_b: known.force_b.map(T::lit),
+                sd: T::lit(known.sd),
+            }),
             method: self.method.policy(),
             encoder_constraint: self.encoder_constraint_arcsec.and_then(|arcsec| {
                 EncoderConstraint::new(ConstraintConfig {

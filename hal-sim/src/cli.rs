@@ -260,6 +260,7 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
                 height_m: 0.0,
                 rotor: RotorConfig::default(),
                 unit: Unit::default(),
+                deviation: None,
                 method: args.method,
                 encoder_constraint_arcsec: None,
             },

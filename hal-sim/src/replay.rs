@@ -8,6 +8,7 @@ use app::record::Taken;
 use frames::math::wrap_pi;
 use frames::units::{DEG, DEG_PER_SQRT_HOUR, MICRO_G_PER_SQRT_HZ};
 use nav::aligner::{Aligner, AlignerError, Event};
+use nav::deviation::Deviation;
 use nav::increment::Sample;
 use nav::model::{PAPER, ROBUST};
 use nav::noise::WhiteNoise;
@@ -106,6 +107,7 @@ pub fn recorded(header: &Header, method: Method) -> Setup {
         height,
         schedule,
         noise,
+        deviation,
         ..
     } = header;
     Setup {
@@ -117,6 +119,11 @@ pub fn recorded(header: &Header, method: Method) -> Setup {
             acceleration: schedule.acceleration.into(),
         },
         unit: Unit::of_noise(noise),
+        deviation: deviation.map(|known| Deviation {
+            rate_b: known.rate_b.map(f64::from),
+            force_b: known.force_b.map(f64::from),
+            sd: known.sd.into(),
+        }),
         method,
         encoder_constraint_arcsec: None,
     }

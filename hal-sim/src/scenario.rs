@@ -322,6 +322,22 @@ table! {
     }
 }
 
+table! {
+    /// `[[turn]]`: the base turns to another heading, about the vertical and besides its swing: `by_deg (u − sin(2πu)/2π)` with u
+    /// from 0 to 1.
+    pub struct TurnOfBase {
+        numbers {
+            /// When it begins, s.
+            at_s: f64 = 0.0, [0.0, 360000.0];
+            /// By how much, clockwise, degrees.
+            by_deg: f64 = 90.0, [-3600.0, 3600.0];
+            /// How long it takes, s.
+            over_s: f64 = 10.0, [0.1, 360000.0];
+        }
+        tables {}
+    }
+}
+
 /// What moves, how, and how badly it is measured.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -342,6 +358,8 @@ pub struct Scenario {
     pub swing: Swing,
     /// Its position.
     pub sway: Sway,
+    /// Its turns to other headings.
+    pub turn: Vec<TurnOfBase>,
     /// The motion of the IMU in the housing.
     pub rotor: Rotor,
     /// The figures of the IMU, as in a `UNIT.toml`: gyros measure `(I + M) ω + G f + b + C_b^s h`, accelerometers
@@ -372,6 +390,7 @@ impl Default for Scenario {
             run: Run::default(),
             swing: Swing::default(),
             sway: Sway::default(),
+            turn: Vec::new(),
             rotor: Rotor::default(),
             imu: Unit::perfect(),
             told: None,
@@ -383,7 +402,7 @@ impl Default for Scenario {
     }
 }
 
-const BUILTIN: [(&str, &str); 9] = [
+const BUILTIN: [(&str, &str); 10] = [
     ("static", include_str!("../scenarios/static.toml")),
     ("paper-sim", include_str!("../scenarios/paper-sim.toml")),
     ("paper-turntable", include_str!("../scenarios/paper-turntable.toml")),
@@ -396,6 +415,7 @@ const BUILTIN: [(&str, &str); 9] = [
     ("lively-floor", include_str!("../scenarios/lively-floor.toml")),
     ("tilted-5", include_str!("../scenarios/tilted-5.toml")),
     ("tilted-15", include_str!("../scenarios/tilted-15.toml")),
+    ("four-headings", include_str!("../scenarios/four-headings.toml")),
 ];
 
 impl Scenario {
@@ -479,6 +499,7 @@ impl Scenario {
         self.run.check("run")?;
         self.swing.check("swing")?;
         self.sway.check("sway")?;
+        self.turn.check("turn")?;
         self.rotor.check("rotor")?;
         self.imu.check("imu")?;
         if let Some(told) = &self.told {
@@ -585,7 +606,7 @@ mod tests {
         assert_eq!(
             Scenario::builtin("paper-simm").unwrap_err().to_string(),
             "paper-simm: no built-in scenario of this name; there are static, paper-sim, paper-turntable, moored, \
-             gyrocompass-standard, bias-step, lively-floor, tilted-5, tilted-15, or a TOML file of your own"
+             gyrocompass-standard, bias-step, lively-floor, tilted-5, tilted-15, four-headings, or a TOML file of your own"
         );
     }
 

@@ -10,6 +10,8 @@
 //!
 //! B is how the unit is built into the base that swings ([`RotorAxis`]): one where it stands upright, and b is the base.
 //!
+//! Heading takes the turns of the base ([`TurnOfBase`]) besides.
+//!
 //! Derivatives are analytic throughout. n is a fixed tangent plane on the rotating Earth: no transport rate, uniform
 //! gravity (the displacements are metres). The IMU sits on the rotor's axis.
 //!
@@ -28,7 +30,7 @@ use nav::rotor::{RotorState, Schedule};
 use rand::RngExt;
 
 use crate::config::{Angle, Violation};
-use crate::scenario::{Axis, RotorAxis, Scenario, SwayAxis};
+use crate::scenario::{Axis, RotorAxis, Scenario, SwayAxis, TurnOfBase};
 use crate::sensors::{Stream, stream};
 
 /// Longest step of the integration, s.
@@ -118,6 +120,27 @@ impl Sine {
     }
 }
 
+/// A turn by `by` within `over` from `from` on, `by (u − sin(2πu)/2π)` with u from 0 to 1: rate and acceleration are zero at
+/// both ends.
+#[derive(Debug, Clone, Copy)]
+struct Turn {
+    from: f64,
+    over: f64,
+    by: f64,
+}
+
+impl Turn {
+    fn at(&self, t: f64) -> Motion {
+        let u = ((t - self.from) / self.over).clamp(0.0, 1.0);
+        let (sin, cos) = (TAU * u).sin_cos();
+        Motion {
+            x: self.by * (u - sin / TAU),
+            dx: self.by / self.over * (1.0 - cos),
+            ddx: self.by / (self.over * self.over) * TAU * sin,
+        }
+    }
+}
+
 /// The rates and specific force of one instant.
 struct Instant {
     w_is_s: Vector3<f64>,
@@ -126,6 +149,8 @@ struct Instant {
 
 /// The trigonometry of one instant, from which those around it are had cheaply.
 struct Base {
+    /// Its time, s.
+    t: f64,
     /// Arguments of yaw, pitch, roll.
     swing: [SinCos; 3],
     /// Yaw, pitch, roll themselves …
@@ -155,6 +180,8 @@ struct Housing {
 pub struct Truth {
     /// Yaw (counter-clockwise), pitch, roll of the base, rad.
     swing: [Sine; 3],
+    /// What yaw takes besides.
+    turns: Vec<Turn>,
     /// East, north, up, m.
     sway: [Sine; 3],
     swaying: bool,
@@ -243,8 +270,15 @@ impl Truth {
             .filter(|sine| sine.amplitude != 0.0)
             .map(|sine| sine.omega)
             .fold(rotor_rate.max(ripple_rate), f64::max);
+        // Clockwise in the scenario, counter-clockwise here.
+        let turn = |turn: &TurnOfBase| Turn {
+            from: turn.at_s,
+            over: turn.over_s,
+            by: -turn.by_deg * DEG,
+        };
         Ok(Self {
             swing,
+            turns: scenario.turn.iter().map(turn).collect(),
             sway,
             swaying: sway.iter().any(|sine| sine.amplitude != 0.0),
             lever_arm_b: scenario
@@ -278,9 +312,26 @@ impl Truth {
         self.gravity
     }
 
+    /// What all turns have added to yaw.
+    fn turned(&self, t: f64) -> Motion {
+        let mut sum = Motion {
+            x: 0.0,
+            dx: 0.0,
+            ddx: 0.0,
+        };
+        for turn in &self.turns {
+            let Motion { x, dx, ddx } = turn.at(t);
+            sum.x += x;
+            sum.dx += dx;
+            sum.ddx += ddx;
+        }
+        sum
+    }
+
     /// Attitude of the housing at `t` ≥ 0, s.
     pub fn c_nb(&self, t: f64) -> Rot<Nav, Body, f64> {
         let [yaw, pitch, roll] = self.swing.map(|sine| sine.at(sine.argument(t)).x);
+        let yaw = yaw + self.turned(t).x;
         let base = Rot::from_yaw_pitch_roll(yaw, pitch, roll);
         match &self.mounting {
             None => base,
@@ -404,7 +455,8 @@ impl Truth {
 
     fn base(&self, t: f64) -> Base {
         let swing = self.swing.map(|sine| sine.argument(t));
-        let angles = core::array::from_fn(|i| self.swing[i].at(swing[i]).x);
+        let mut angles: [f64; 3] = core::array::from_fn(|i| self.swing[i].at(swing[i]).x);
+        angles[0] += self.turned(t).x;
         let rotor = self.schedule.at(t);
         let (amplitude, harmonic) = self.ripple;
         let ripple = if amplitude > 0.0 {
@@ -414,6 +466,7 @@ impl Truth {
         };
         let alpha = rotor.angle + amplitude * ripple.sin;
         Base {
+            t,
             swing,
             angles,
             euler: angles.map(SinCos::of),
@@ -427,10 +480,14 @@ impl Truth {
 
     /// The housing `dt` after the base.
     fn housing(&self, base: &Base, dt: f64) -> Housing {
-        let m: [Motion; 3] = core::array::from_fn(|i| {
+        let mut m: [Motion; 3] = core::array::from_fn(|i| {
             let sine = &self.swing[i];
             sine.at(sine.moved(base.swing[i], dt))
         });
+        let Motion { x, dx, ddx } = self.turned(base.t + dt);
+        m[0].x += x;
+        m[0].dx += dx;
+        m[0].ddx += ddx;
         let [yaw, pitch, roll] = core::array::from_fn(|i| base.euler[i].moved(m[i].x - base.angles[i]));
         let (sy, cy, sp, cp, sr, cr) = (yaw.sin, yaw.cos, pitch.sin, pitch.cos, roll.sin, roll.cos);
         let c_nb = Matrix3::new(

@@ -29,6 +29,7 @@ use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
 use hal_sim::simulate::Simulation;
 use hal_sim::unit_sim;
 use nav::aligner::{Aligner, Event};
+use nav::deviation::Deviation;
 use nav::increment::Sample;
 use nav::model::ROBUST;
 use proptest::prelude::*;
@@ -42,6 +43,12 @@ use port::Port;
 const RATE_HZ: f64 = 202.4;
 
 const FIRMWARE: &str = "0.1.0+5be6f0d";
+
+const DEVIATION: Deviation = Deviation {
+    rate_b: [1.7e-6, -2.3e-6],
+    force_b: [0.31, -0.07],
+    sd: 1.9e-7,
+};
 
 /// The figures of a unit in this scenario.
 fn header(scenario: &Scenario) -> record::Header<'static> {
@@ -68,6 +75,7 @@ fn header(scenario: &Scenario) -> record::Header<'static> {
             acceleration: setup.rotor.acceleration as f32,
         },
         noise: align::noise(&setup.unit),
+        deviation: None,
         firmware: FIRMWARE,
     }
 }
@@ -334,6 +342,7 @@ fn the_header_gives_the_setup_to_the_bit() {
     own.noise.accel_misalignment_sd = 2.9e-4;
     own.noise.accel_instability_sd = 3.1e-4;
     own.noise.accel_instability_tau = 71.3;
+    own.deviation = Some(DEVIATION);
     own.latitude = -0.123_456_7;
     for header in [unit.header, own] {
         let bytes = Recorder::new().header(0, &header).as_bytes().to_vec();
@@ -341,7 +350,10 @@ fn the_header_gives_the_setup_to_the_bit() {
         let setup = replay::recorded(reader.header().unwrap(), Method::Robust);
         let config = setup.config::<f32, ROBUST>();
         assert_eq!(config.latitude.to_bits(), header.latitude.to_bits());
-        assert_eq!(config.filter.noise, header.noise);
+        assert_eq!(
+            (config.filter.noise, config.filter.deviation),
+            (header.noise, header.deviation)
+        );
         let rotor = nav::rotor::RotorConfig {
             rate: setup.rotor.rate as f32,
             travel: setup.rotor.travel as f32,
@@ -565,7 +577,8 @@ fn a_bad_line_after_coarse_alignment_costs_little() {
 fn bytes_lost_and_added_cost_one_frame() {
     let good = short(400);
     let all = read(&good).0.len();
-    for at in 200..good.len() - 100 {
+    // Behind the header and the first sample.
+    for at in 220..good.len() - 100 {
         if at % 7 != 0 {
             continue;
         }
@@ -749,7 +762,7 @@ fn what_cannot_be_read_is_said() {
     other[header_length - 4..header_length].copy_from_slice(&sum.to_le_bytes());
     assert_eq!(
         message(&[sentence.as_bytes(), &other].concat()),
-        "u.bin:byte 19: a record of version 9 where this program reads 2: use the program that belongs to the unit's \
+        "u.bin:byte 19: a record of version 9 where this program reads 3: use the program that belongs to the unit's \
          firmware"
     );
     // A figure that cannot be is left out, and its time is a gap.
@@ -855,28 +868,32 @@ proptest! {
     }
 }
 
-/// Version 1 of a header lacks six figures of the noise: they are those of an IMU without such errors.
+/// Version 1 of a header lacks six figures of the noise, version 2 the deviation: they are those of an IMU without such errors.
 #[test]
-fn a_header_of_version_1_reads() {
+fn headers_of_earlier_versions_read() {
     let mut sent = unit().header;
     sent.noise.gyro_misalignment_sd = 2.3e-4;
     sent.noise.accel_instability_sd = 3.1e-4;
     sent.noise.accel_instability_tau = 71.3;
-    let mut bytes = Recorder::new().header(0, &sent).as_bytes().to_vec();
-    bytes.truncate(bytes.len() - record::CRC);
-    bytes.drain(record::LEAD + 94..record::LEAD + 118);
-    bytes[record::LEAD + 1] = 1;
-    bytes[1] = u8::try_from(bytes.len() - record::LEAD).unwrap();
-    let crc = drivers::crc::crc32(bytes[1..].iter().copied());
-    bytes.extend_from_slice(&crc.to_le_bytes());
-    let reader = LogReader::new(&bytes[..], "u.bin").unwrap();
-    let found = reader.header().unwrap();
-    let noise = nav::noise::ImuNoise {
+    sent.deviation = Some(DEVIATION);
+    let before = nav::noise::ImuNoise {
         accel_instability_sd: 0.0,
         accel_instability_tau: 100.0,
         ..sent.noise
     };
-    assert_eq!((found.noise, found.firmware.as_str()), (noise, FIRMWARE));
+    for (version, from, noise) in [(1, 94, before), (2, 118, sent.noise)] {
+        let mut bytes = Recorder::new().header(0, &sent).as_bytes().to_vec();
+        bytes.truncate(bytes.len() - record::CRC);
+        bytes.drain(record::LEAD + from..record::LEAD + 138);
+        bytes[record::LEAD + 1] = version;
+        bytes[1] = u8::try_from(bytes.len() - record::LEAD).unwrap();
+        let crc = drivers::crc::crc32(bytes[1..].iter().copied());
+        bytes.extend_from_slice(&crc.to_le_bytes());
+        let reader = LogReader::new(&bytes[..], "u.bin").unwrap();
+        let found = reader.header().unwrap();
+        assert_eq!((found.noise, found.deviation), (noise, None), "version {version}");
+        assert_eq!(found.firmware, FIRMWARE);
+    }
 }
 
 /// The bytes that `docs/log.md` shows are those of the encoder.

@@ -428,3 +428,58 @@ fn either_count_of_the_imu_tells_what_is_lost() {
     });
     assert_eq!(lost[0], lost[1]);
 }
+
+/// A gyro error of 0.5 °/h in the housing is found by a unit that is turned through four headings, kept by `deviation`, and
+/// known to the next alignment.
+#[test]
+fn a_unit_turned_through_four_headings_keeps_its_deviation() {
+    let mut scenario = Scenario::builtin("four-headings").unwrap();
+    // Two minutes at each heading; the unit takes a quarter of one to begin.
+    for (turn, at_s) in scenario.turn.iter_mut().zip([135.0, 265.0, 395.0]) {
+        turn.at_s = at_s;
+    }
+    let heading = |result: &UnitResult| {
+        let last = result.last.as_ref().unwrap();
+        (last.error.heading_deg, last.reading.sd.heading_deg)
+    };
+    let typed = [
+        "100 deviation",
+        "525 deviation",
+        "526 deviation clear",
+        "526.1 deviation",
+    ];
+    let (found, answers) = session(&scenario, 11, 530.0, &typed);
+    let [early, what, taken, clear, again, taken_again] = &answers[..] else {
+        panic!("{answers:?}")
+    };
+    assert_eq!(
+        early,
+        "error,nothing found: align then turn the base through four headings"
+    );
+    assert_eq!((taken_again, clear), (taken, taken), "{answers:?}");
+    assert!(
+        [what, again]
+            .iter()
+            .all(|told| told.starts_with("ok,deviation 0.4") || told.starts_with("ok,deviation 0.3")),
+        "{answers:?}"
+    );
+    assert_eq!(taken, "ok,set - align takes it up and save keeps it");
+    let deviation = found.settings.deviation.unwrap();
+    let sd = f64::from(deviation.sd) / DEG_PER_HOUR;
+    assert!(sd < 0.1, "{sd}");
+    for (found, truth) in deviation.rate_b.iter().zip([0.3, -0.4]) {
+        assert!(
+            (f64::from(*found) / DEG_PER_HOUR - truth).abs() < 3.0 * sd,
+            "{deviation:?}"
+        );
+    }
+    let (off, sd) = heading(&found);
+    assert!(off.abs() < 3.0 * sd && sd < 0.4, "{off} {sd}");
+
+    // Aligned anew at the last heading, with it and without it.
+    let align = |typed: &[&str]| session(&scenario, 11, 660.0, typed).0;
+    let (off, sd) = heading(&align(&["525 deviation", "526 align"]));
+    assert!(off.abs() < 3.0 * sd && sd < 0.9, "{off} {sd}");
+    let (_, sd) = heading(&align(&["526 align"]));
+    assert!(sd > 2.0, "{sd}");
+}

@@ -12,6 +12,7 @@ use embassy_time::{Duration, Instant, with_timeout};
 use frames::Vec3;
 use hal_sim::device::flash::{ENDURANCE, ERASE_STEPS, ERASE_US, Flash, PROGRAM_US, SECTOR, SECTORS};
 use nav::calibration::Calibration;
+use nav::deviation::Deviation;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -82,6 +83,13 @@ fn change(settings: &mut Settings, group: Group, rng: &mut ChaCha8Rng) {
                 phase: some(rng, 3.0),
             }))
             .unwrap();
+        }
+        Group::Deviation => {
+            settings.deviation = rng.random_bool(0.8).then(|| Deviation {
+                rate_b: [some(rng, 0.1), some(rng, 0.1)],
+                force_b: [some(rng, 10.0), some(rng, 10.0)],
+                sd: 1e-6,
+            });
         }
         Group::Noise => {
             settings.noise.angle_random_walk = rng.random_range(1e-6..1e-4);

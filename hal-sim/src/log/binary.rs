@@ -23,6 +23,7 @@ use app::record::{
 use drivers::crc::crc32;
 use drivers::{Channels, Identity, Scale};
 use frames::{Sensor, Vec3};
+use nav::deviation::Deviation;
 use nav::increment::Sample;
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
@@ -41,8 +42,9 @@ const CLOCK_US: u64 = 1_000_000_000_000_000;
 const SHORTEST: f32 = 1e-5;
 /// Largest angle of the rotor that can be, rad.
 const ANGLE_LIMIT: f32 = 1e7;
-/// Bytes of the six figures of the noise that version 1 of a header lacks.
+/// Bytes of the six figures of the noise that version 1 of a header lacks, and of the deviation that version 2 lacks as well.
 const SINCE_VERSION_2: usize = 24;
+const SINCE_VERSION_3: usize = 20;
 /// Interval where neither a sample nor the header says it, s.
 const INTERVAL: f32 = 0.005;
 
@@ -69,6 +71,8 @@ pub struct Header {
     pub schedule: RotorConfig,
     /// What the aligner took the IMU for, SI.
     pub noise: ImuNoise,
+    /// What its aligner knew of the gyro error that is constant in the housing.
+    pub deviation: Option<Deviation>,
     /// Version of the firmware.
     pub firmware: String,
 }
@@ -389,7 +393,8 @@ fn decode(body: &[u8]) -> Option<Frame> {
         HEADER => {
             let version = bytes.u8()?;
             let fixed = match version {
-                1 => HEADER_FIXED - SINCE_VERSION_2,
+                1 => HEADER_FIXED - SINCE_VERSION_2 - SINCE_VERSION_3,
+                2 => HEADER_FIXED - SINCE_VERSION_3,
                 VERSION => HEADER_FIXED,
                 _ => return Some(Frame::Version(version)),
             };
@@ -455,6 +460,7 @@ fn header(mut bytes: Bytes<'_>, version: u8) -> Option<Header> {
             gyro_misalignment_sd: bytes.f32()?,
             ..ImuNoise::default()
         },
+        deviation: None,
         firmware: String::new(),
     };
     if version >= 2 {
@@ -467,6 +473,14 @@ fn header(mut bytes: Bytes<'_>, version: u8) -> Option<Header> {
             accel_instability_tau: bytes.f32()?,
             ..header.noise
         };
+    }
+    if version >= 3 {
+        let deviation = Deviation {
+            rate_b: [bytes.f32()?, bytes.f32()?],
+            force_b: [bytes.f32()?, bytes.f32()?],
+            sd: bytes.f32()?,
+        };
+        header.deviation = Some(deviation).filter(Deviation::is_valid);
     }
     header.firmware = bytes.text();
     Some(header)

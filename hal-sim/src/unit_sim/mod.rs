@@ -310,6 +310,7 @@ impl<const B: usize> Core<B> {
                 t_us,
                 mode: self.aligner.mode(),
                 estimate: self.aligner.estimate(),
+                deviation: None,
                 not_ready: None,
                 track: None,
             });

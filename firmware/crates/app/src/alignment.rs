@@ -244,12 +244,12 @@ fn begin<M: RawMutex>(
         Job::Idle => Work::Idle,
         Job::Inspect => Work::Inspect(Inspection::new(config.inspection)),
         Job::Align => {
+            let deviation = shared.settings().deviation;
+            // Starts anew.
+            aligner.set_deviation(deviation);
             // A place that cannot be is refused where it is set; here the one before would stay.
             let set = aligner.set_place(latitude, height);
-            if set.is_err() {
-                aligner.start_anew();
-            }
-            tap.anew(set.ok().map(|()| place));
+            tap.aligns(set.ok().map(|()| place), deviation);
             Work::Align
         }
         Job::Calibrate { aligned } => {
@@ -416,7 +416,7 @@ fn heed(
     match work {
         Work::Align if begins => {
             aligner.start_anew();
-            tap.anew(None);
+            tap.anew();
             Some(Input::Alignment(Alignment::UnderWay { speed: motion.speed }))
         }
         Work::Navigate(navigator) => {
@@ -531,6 +531,7 @@ fn navigation(t_us: u64, work: &Work, aligner: &dyn Align, in_doubt: bool) -> Na
             t_us,
             mode: aligner.mode(),
             estimate: aligner.estimate(),
+            deviation: aligner.deviation(),
             not_ready: aligner.not_ready(),
             track: None,
         };
@@ -547,6 +548,7 @@ fn navigation(t_us: u64, work: &Work, aligner: &dyn Align, in_doubt: bool) -> Na
             aligner::Mode::Fine
         },
         estimate: Some(estimate),
+        deviation: None,
         not_ready: (!good).then_some(NotReady::HeadingSd { sd }),
         track: Some(navigator.track()),
     }

@@ -481,6 +481,7 @@ mod tests {
 
     fn navigation(t_us: u64, heading: f32, sd: f32, not_ready: Option<NotReady>) -> Navigation {
         Navigation {
+            deviation: None,
             t_us,
             mode: aligner::Mode::Fine,
             estimate: Some(Estimate {

@@ -31,7 +31,7 @@
 //! |---|---|---|---|
 //! | sample | 41 | 202.4 | 8298 |
 //! | dt and temperature in it | 8 | 6.4 to 9.5 | 51 to 76 |
-//! | header | 124 to 148 | 1 | 148 |
+//! | header | 144 to 168 | 1 | 168 |
 //! | together | | | 8.5 kB, 74 % of 11.52 |
 //! | sentences | | | 1.3 kB, 11 % |
 //!
@@ -41,15 +41,16 @@ use drivers::crc::crc32;
 use drivers::{Identity, Scale};
 use frames::{Sensor, Vec3};
 use heapless::Vec;
+use nav::deviation::Deviation;
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 
 use crate::mode::Status;
 use crate::sample::TimedSample;
 
-/// The version of this format. A reader refuses later ones. Version 1 had six figures of the noise less: they are the last
-/// before the name of the firmware.
-pub const VERSION: u8 = 2;
+/// The version of this format. A reader refuses later ones. Version 1 had six figures of the noise less, version 2 no
+/// deviation: it is the last before the name of the firmware.
+pub const VERSION: u8 = 3;
 /// First byte of a frame: in no ASCII and no UTF-8 text, and none that a line at rest or broken gives.
 pub const SYNC: u8 = 0xFA;
 /// Kind of a header.
@@ -82,7 +83,7 @@ pub const CRC: usize = 4;
 /// Longest name of a version, bytes.
 pub const FIRMWARE: usize = 24;
 /// Bytes of a header's body without the name of the version.
-pub const HEADER_FIXED: usize = 118;
+pub const HEADER_FIXED: usize = 138;
 /// Bytes of a status' body without its text.
 pub const STATUS_FIXED: usize = 10;
 /// Bytes of a sample's body without what its flags announce.
@@ -122,6 +123,8 @@ pub struct Header<'a> {
     pub schedule: RotorConfig,
     /// What the aligner takes the IMU for, SI.
     pub noise: ImuNoise,
+    /// What the aligner knows of the gyro error that is constant in the housing; on the line its σ is zero where it is `None`.
+    pub deviation: Option<Deviation>,
     /// Version of the firmware, ASCII; beyond [`FIRMWARE`] bytes it is cut off.
     pub firmware: &'a str,
 }
@@ -232,6 +235,15 @@ impl Recorder {
             noise.accel_instability_sd,
             noise.accel_instability_tau,
         ] {
+            body.float(figure);
+        }
+        let deviation = header.deviation.unwrap_or(Deviation {
+            rate_b: [0.0; 2],
+            force_b: [0.0; 2],
+            sd: 0.0,
+        });
+        let Deviation { rate_b, force_b, sd } = deviation;
+        for figure in rate_b.into_iter().chain(force_b).chain([sd]) {
             body.float(figure);
         }
         for byte in header.firmware.bytes().take(FIRMWARE) {
@@ -399,6 +411,7 @@ mod tests {
             height: 10.0,
             schedule: RotorConfig::default(),
             noise: ImuNoise::default(),
+            deviation: None,
             firmware,
         }
     }
@@ -427,7 +440,7 @@ mod tests {
         for k in 0..2024_u16 {
             if k.is_multiple_of(202) {
                 let frame = recorder.header(0, &header("0.1.0+0123456789abcdefgh"));
-                assert_eq!(frame.as_bytes().len(), 148);
+                assert_eq!(frame.as_bytes().len(), 168);
                 bytes += frame.as_bytes().len();
             }
             let mut sample = sample();

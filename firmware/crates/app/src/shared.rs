@@ -25,6 +25,7 @@ use embassy_sync::signal::Signal;
 use embassy_sync::watch::Watch;
 use embassy_time::{Duration, Instant, Timer};
 use nav::aligner;
+use nav::deviation::Deviation;
 use nav::navigator::Track;
 
 use crate::command::Command;
@@ -83,6 +84,8 @@ pub struct Navigation {
     /// Attitude of the housing, biases and their 1σ, once there are any; its angles are those of the vehicle, by the
     /// mounting.
     pub estimate: Option<aligner::Estimate>,
+    /// The gyro error that is constant in the housing, as far as the alignment has found it.
+    pub deviation: Option<Deviation>,
     /// Why it is not to be relied on, if it is not.
     pub not_ready: Option<aligner::NotReady>,
     /// Velocity and place, while the unit navigates.

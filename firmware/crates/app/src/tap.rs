@@ -1,6 +1,7 @@
 //! Where samples leave the alignment for the [record](crate::record), while one is wanted.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
+use nav::deviation::Deviation;
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
 
@@ -20,6 +21,7 @@ pub struct Tap {
     schedule: RotorConfig,
     /// What the aligner uses.
     place: Position,
+    deviation: Option<Deviation>,
     /// When the next header is due; at once where there was none.
     header_us: Option<u64>,
     /// The aligner has started anew since its last sample.
@@ -36,15 +38,22 @@ impl Tap {
             noise,
             schedule,
             place,
+            deviation: None,
             header_us: None,
             anew: false,
             skipped: 0,
         }
     }
 
-    /// The aligner starts anew; at another place, if one is given.
-    pub fn anew(&mut self, place: Option<Position>) {
+    /// The aligner starts anew with another deviation, at another place if one is given.
+    pub fn aligns(&mut self, place: Option<Position>, deviation: Option<Deviation>) {
         self.place = place.unwrap_or(self.place);
+        self.deviation = deviation;
+        self.anew();
+    }
+
+    /// The aligner starts anew.
+    pub fn anew(&mut self) {
         self.anew = true;
         self.header_us = None;
     }
@@ -76,6 +85,7 @@ impl Tap {
                 height: self.place.height,
                 schedule: self.schedule,
                 noise: self.noise,
+                deviation: self.deviation,
                 firmware: shared.version(),
             };
             shared.send_frame(self.recorder.header(sample.t_us, &header));

@@ -32,6 +32,7 @@ use heapless::Deque;
 
 use crate::{
     coarse::{Coarse, CoarseError, CoarsePoint, CoarseSolution},
+    deviation::Deviation,
     earth::{Earth, EarthError},
     fine::{CERTAIN, FilterConfig, FilterConfigError, FineFilter, Innovation},
     increment::{Compensator, Decimator, Increment, Sample},
@@ -1080,6 +1081,27 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         })
     }
 
+    /// What has been found of the gyro error that is constant in the housing; `None` before the loop is closed, and while the
+    /// innovations do not fit or another heading may be the right one.
+    pub fn deviation(&self) -> Option<Deviation<T>> {
+        match &self.stage {
+            Stage::Fine {
+                filter,
+                rival: None,
+                consistency,
+                replay: Replay::Live,
+                ..
+            } if consistency.holds() => filter.deviation(),
+            _ => None,
+        }
+    }
+
+    /// Says what is known of the gyro error that is constant in the housing, and starts anew. What cannot be is not taken.
+    pub fn set_deviation(&mut self, deviation: Option<Deviation<T>>) {
+        self.config.filter.deviation = deviation.filter(Deviation::is_valid);
+        self.start_anew();
+    }
+
     /// Sets the place and starts anew.
     ///
     /// # Errors
@@ -1125,6 +1147,10 @@ pub trait Align {
     fn hand_over(&self) -> Option<HandOver>;
     /// [`Aligner::start_anew`].
     fn start_anew(&mut self);
+    /// [`Aligner::deviation`].
+    fn deviation(&self) -> Option<Deviation>;
+    /// [`Aligner::set_deviation`].
+    fn set_deviation(&mut self, deviation: Option<Deviation>);
     /// [`Aligner::set_place`].
     ///
     /// # Errors
@@ -1159,6 +1185,14 @@ impl<const B: usize, const N: usize> Align for Aligner<f32, B, N> {
 
     fn start_anew(&mut self) {
         self.start_anew();
+    }
+
+    fn deviation(&self) -> Option<Deviation> {
+        self.deviation()
+    }
+
+    fn set_deviation(&mut self, deviation: Option<Deviation>) {
+        self.set_deviation(deviation);
     }
 
     fn set_place(&mut self, latitude: f32, height: f32) -> Result<(), EarthError> {

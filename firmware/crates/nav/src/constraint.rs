@@ -238,6 +238,11 @@ impl<T: Real, const B: usize> Row<T, B> {
         Self { p_h, predicted_var }
     }
 
+    /// h P gᵀ with another row g.
+    pub(crate) fn covariance_with(&self, other: &[Vector3<T>; B]) -> T {
+        product(other, &self.p_h)
+    }
+
     /// Takes it with noise variance `r` > 0, raised to what [`LARGEST_CUT`] asks for: s = h P hᵀ + r, K = P hᵀ/s,
     /// P ← P − K (P hᵀ)ᵀ.
     pub(crate) fn update(&self, covariance: &mut Covariance<T, B>, r: T) -> Gain<T, B> {

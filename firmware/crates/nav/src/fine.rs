@@ -38,19 +38,20 @@
 //!
 //! Not modelled here: Coriolis acceleration (2 ω_ie V, below 1e-7 m/s² while V is an error).
 
-use frames::{Nav, Real, Rot, Sensor, Vec3, VecSum, math, units};
+use frames::{Body, Nav, Real, Rot, Sensor, Vec3, VecSum, math, units};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::{
     constraint::{self, ConstraintConfig, Excess, Row, Watch},
     covariance::{Coupling, Covariance},
+    deviation::Deviation,
     earth::Earth,
     fading::{Fading, StrongTracking},
     increment::Increment,
-    model::{ACCEL_COLUMNS, BA, BG, DP, DV, GM, GYRO_TERMS, GyroDrive, HB, Interval, MZ, PHI, ROBUST, WE},
+    model::{ACCEL_COLUMNS, BA, BG, DP, DV, GM, GX, GY, GYRO_TERMS, GyroDrive, HB, Interval, MZ, PHI, ROBUST, WE},
     noise::ImuNoise,
     north::{Direction, North},
-    strapdown::Strapdown,
+    strapdown::{Corrections, Strapdown},
     trust::{Trust, TrustConfig},
 };
 
@@ -88,6 +89,7 @@ impl<T: Real, const B: usize> Method<T, B> {
 /// | `tilt_sd` | rad | refused | 0.2° |
 /// | `heading_sd` | rad | refused | 90° |
 /// | `latitude_sd` | rad | latitude known | 0 |
+/// | `deviation` | SI | `None`: nothing beyond `noise` | what an alignment at several headings has found |
 /// | `method` | – | – | [`Method::Kalman`] |
 /// | `encoder_constraint` | – | `None`: the base may yaw | `None` but for a base fixed to Earth |
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -108,6 +110,8 @@ pub struct FilterConfig<T: Real = f32, const B: usize = ROBUST> {
     pub heading_sd: T,
     /// 1σ of the latitude that the filter is told, rad, where δω is estimated.
     pub latitude_sd: T,
+    /// What is known already of the gyro error that is constant in the housing, for a filter with all blocks.
+    pub deviation: Option<Deviation<T>>,
     /// Kalman or strong tracking.
     pub method: Method<T, B>,
     /// That the base is fixed to Earth, so that the rotor's encoder measures the z gyro.
@@ -125,6 +129,7 @@ impl<T: Real, const B: usize> Default for FilterConfig<T, B> {
             tilt_sd: T::lit(0.2 * DEG),
             heading_sd: T::lit(90.0 * DEG),
             latitude_sd: T::zero(),
+            deviation: None,
             method: Method::Kalman,
             encoder_constraint: None,
         }
@@ -176,6 +181,8 @@ pub enum FilterConfigError {
     MeasureEvery,
     /// `tilt_sd` and `heading_sd` must be positive, `latitude_sd` not negative.
     StartSd,
+    /// The deviation is not finite, or its σ is not positive.
+    Deviation,
     /// A strong-tracking figure is out of range.
     StrongTracking,
 }
@@ -188,6 +195,7 @@ impl core::fmt::Display for FilterConfigError {
             Self::Trust => "trust needs positive spreads and gate, 0 <= memory < 1, correlation >= 1",
             Self::MeasureEvery => "measure_every must not be negative",
             Self::StartSd => "tilt_sd and heading_sd must be positive, latitude_sd not negative",
+            Self::Deviation => "a deviation must be finite, and its 1 sigma positive",
             Self::StrongTracking => {
                 "strong tracking needs 0 <= forgetting <= 1, softening >= 1, weights >= 0, limit >= 1"
             }
@@ -219,6 +227,9 @@ impl<T: Real, const B: usize> FilterConfig<T, B> {
         let latitude = self.latitude_sd.finite() && self.latitude_sd >= T::zero();
         if !(positive(self.tilt_sd) && positive(self.heading_sd) && latitude) {
             return Err(FilterConfigError::StartSd);
+        }
+        if !self.deviation.as_ref().is_none_or(Deviation::is_valid) {
+            return Err(FilterConfigError::Deviation);
         }
         match &self.method {
             Method::StrongTracking(policy) if !policy.is_valid() => Err(FilterConfigError::StrongTracking),
@@ -310,6 +321,8 @@ pub struct FineFilter<T: Real = f32, const B: usize = ROBUST> {
     watch: Watch<T>,
     /// ∫ of the rotor's axis in n, s, and its time, s.
     axis_n: VecSum<Nav, T>,
+    /// ∫ of the specific force in b, m/s.
+    force_b: VecSum<Body, T>,
     elapsed: T,
 }
 
@@ -408,11 +421,16 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         let mut faded = prior;
         let most = T::lit(FADED_BIAS_SD * FADED_BIAS_SD);
         faded[BG] = prior[BG].map(|variance| variance.min(most));
+        let mut strapdown = Strapdown::new(c_ns);
+        let mut covariance = Covariance::diagonal(prior);
+        if let Some(deviation) = config.deviation.filter(|_| B > HB) {
+            strapdown.correct(&deviation.measured(&mut covariance));
+        }
         Ok(Self {
             config,
             earth,
-            strapdown: Strapdown::new(c_ns),
-            covariance: Covariance::diagonal(prior),
+            strapdown,
+            covariance,
             error: [Vector3::zeros(); B],
             closed: false,
             closing: false,
@@ -425,6 +443,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             refused: 0,
             watch: Watch::new(),
             axis_n: VecSum::new(Vec3::zero()),
+            force_b: VecSum::new(Vec3::zero()),
             elapsed: T::zero(),
         })
     }
@@ -464,7 +483,35 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         let c_ns = self.strapdown.advance(increment, alpha, &self.earth);
         self.interval.push(increment, alpha, &c_ns, &self.earth);
         self.axis_n.add(Vec3::from_vector(c_ns.column(2) * increment.dt));
+        let middle = alpha - increment.phi_s.z() * T::lit(0.5);
+        self.force_b
+            .add(Rot::<Body, Sensor, T>::about_z(middle) * increment.dv_s);
         self.elapsed += increment.dt;
+    }
+
+    /// The gyro error that is constant in the housing, under the housing's mean tilt since the start; `None` for a filter
+    /// without a state for it, and before the loop is closed.
+    pub fn deviation(&self) -> Option<Deviation<T>> {
+        if B <= HB || !self.closed {
+            return None;
+        }
+        let mut state = self.error;
+        let Corrections {
+            g_sensitivity,
+            housing_b,
+            ..
+        } = &self.strapdown.corrections;
+        for (block, found) in [
+            (GX, g_sensitivity.column(0).into_owned()),
+            (GY, g_sensitivity.column(1).into_owned()),
+            (HB, housing_b.vector()),
+        ] {
+            if let Some(part) = state.get_mut(block) {
+                *part += found;
+            }
+        }
+        let force_b = self.force_b.get() / self.elapsed;
+        Some(Deviation::found(&state, &self.covariance, [force_b.x(), force_b.y()]))
     }
 
     /// Whether it is time to measure, to within half an increment.
@@ -1109,7 +1156,7 @@ mod tests {
     #[test]
     fn turn_row_is_the_derivative_of_the_mechanization() {
         let earth = Earth::<f64>::new(40.0 * DEG, 0.0).unwrap();
-        let c_nb = Rot::<Nav, frames::Body, f64>::from_yaw_pitch_roll(0.7, 0.2, -0.15);
+        let c_nb = Rot::<Nav, Body, f64>::from_yaw_pitch_roll(0.7, 0.2, -0.15);
         // Two thirds of a second one way, one third back.
         let alpha = |k: u32| 0.35 * 0.05 * (13.0 - (13.0 - f64::from(k)).abs());
         let c_ns = |k: u32| c_nb * Rot::about_z(alpha(k));
@@ -1306,7 +1353,7 @@ mod tests {
     #[test]
     fn closing_the_loop_changes_no_estimate() {
         let mut filter = filter::<ROBUST>(Method::Kalman);
-        let c_nb = Rot::<Nav, frames::Body, f32>::from_yaw_pitch_roll(1.3, 0.01, -0.02);
+        let c_nb = Rot::<Nav, Body, f32>::from_yaw_pitch_roll(1.3, 0.01, -0.02);
         let mut k = 0;
         let mut step = |filter: &mut FineFilter<f32>| {
             let dt = 0.05;

@@ -8,7 +8,9 @@
 
 use core::fmt;
 
-use frames::units::{ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM};
+use frames::units::{
+    ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM, STANDARD_GRAVITY,
+};
 use heapless::Vec;
 
 use crate::command::Command;
@@ -17,6 +19,8 @@ use crate::nmea::{Line, Sentence, Talker};
 use crate::nmea_in::{self, Fix};
 use crate::settings::{Group, Invalid, Position, Settings, Source};
 
+/// 1 °/h/g in rad/s per m/s².
+const PER_G: f64 = DEG_PER_HOUR / STANDARD_GRAVITY;
 /// Longest command without its end, bytes.
 pub const LONGEST: usize = 64;
 /// What a line asks for.
@@ -38,6 +42,10 @@ pub enum Request {
     Faults,
     /// To forget them.
     ClearFaults,
+    /// To keep what the alignment has found of the housing's gyro error.
+    Deviation,
+    /// To forget it.
+    ClearDeviation,
     /// What the log is to tell.
     Log(Level),
     /// Whether every sample is to go out.
@@ -122,7 +130,7 @@ impl PartialEq for Setting {
 
 impl Setting {
     /// All that can be set here. The place is taken up by `align`, the others by `restart`, once saved.
-    pub const ALL: [Self; 19] = [
+    pub const ALL: [Self; 21] = [
         number("latitude", "deg", Group::Installation, 5, DEG, |s| {
             &mut by_hand(s).latitude
         }),
@@ -156,6 +164,12 @@ impl Setting {
         }),
         number("gyro-misalignment", "arcmin", Group::Noise, 2, ARC_MIN, |s| {
             &mut s.noise.gyro_misalignment_sd
+        }),
+        number("gyro-g-sensitivity", "deg/h/g", Group::Noise, 1, PER_G, |s| {
+            &mut s.noise.gyro_g_sensitivity_sd
+        }),
+        number("gyro-housing", "deg/h", Group::Noise, 2, DEG_PER_HOUR, |s| {
+            &mut s.noise.gyro_housing_sd
         }),
         number("accel-vrw", "ug/sqrt(Hz)", Group::Noise, 1, MICRO_G_PER_SQRT_HZ, |s| {
             &mut s.noise.velocity_random_walk
@@ -267,8 +281,8 @@ enum Rest {
     Setting,
     /// A level.
     Level,
-    /// Nothing, or `clear`.
-    Clear,
+    /// Nothing, or `clear`, and what each asks for.
+    Clear(Request, Request),
     /// `on` or `off`.
     Switch,
 }
@@ -292,7 +306,7 @@ const fn word(name: &'static str, request: Request, help: &'static str) -> Word 
 }
 
 /// All words there are.
-pub const WORDS: [Word; 16] = [
+pub const WORDS: [Word; 17] = [
     word("help", Request::Help, "this list"),
     word("status", Request::Status, "the status sentence now"),
     word("version", Request::Version, "of the program"),
@@ -302,6 +316,11 @@ pub const WORDS: [Word; 16] = [
         Request::Unit(Command::Calibrate),
         "the gyros - from rest, better once aligned",
     ),
+    Word {
+        name: "deviation",
+        rest: Rest::Clear(Request::Deviation, Request::ClearDeviation),
+        help: "keep the housing's gyro error as found, or clear",
+    },
     word(
         "navigate",
         Request::Unit(Command::Navigate),
@@ -328,7 +347,7 @@ pub const WORDS: [Word; 16] = [
     word("save", Request::Save, "keep settings and calibration"),
     Word {
         name: "faults",
-        rest: Rest::Clear,
+        rest: Rest::Clear(Request::Faults, Request::ClearFaults),
         help: "the last faults and crashes, or clear",
     },
     Word {
@@ -379,7 +398,7 @@ impl LineError {
             Self::Number => "expected a number as -12.345",
             Self::Talker => "expected talker HE, HC, IN or GP",
             Self::Level => "expected log error, warn, info or debug",
-            Self::Clear => "expected faults or faults clear",
+            Self::Clear => "expected nothing more but clear",
             Self::Switch => "expected record on or record off",
             Self::Long => "expected at most 64 characters on a line",
             Self::Garbled => "expected ASCII at 115200 baud 8N1",
@@ -396,7 +415,7 @@ impl fmt::Display for LineError {
 impl core::error::Error for LineError {}
 
 /// One copy of them: a constant would be one wherever it is used.
-pub(super) static SETTINGS: [Setting; 19] = Setting::ALL;
+pub(super) static SETTINGS: [Setting; 21] = Setting::ALL;
 
 /// What a line without its end asks for; `None` where it is empty or a remark.
 ///
@@ -433,9 +452,9 @@ pub fn parse(line: &[u8]) -> Result<Option<Request>, LineError> {
             let level = Level::ALL.into_iter().find(|level| is(level.name(), name));
             Request::Log(level.ok_or(LineError::Level)?)
         }
-        Rest::Clear => match next() {
-            [] => Request::Faults,
-            clear if is("clear", clear) => Request::ClearFaults,
+        Rest::Clear(plain, cleared) => match next() {
+            [] => plain,
+            clear if is("clear", clear) => cleared,
             _ => return Err(LineError::Clear),
         },
         Rest::Switch => match next() {
@@ -575,6 +594,7 @@ impl LineBuffer {
 #[cfg(test)]
 mod tests {
     use std::borrow::ToOwned;
+    use std::format;
     use std::vec::Vec;
 
     use proptest::prelude::*;
@@ -599,7 +619,11 @@ mod tests {
                 Rest::Nothing(request) => assert_eq!(parse(word.name.as_bytes()), Ok(Some(request))),
                 Rest::Setting => assert_eq!(parse(word.name.as_bytes()), Err(LineError::Setting)),
                 Rest::Level => assert_eq!(parse(word.name.as_bytes()), Err(LineError::Level)),
-                Rest::Clear => assert_eq!(parse(word.name.as_bytes()), Ok(Some(Request::Faults))),
+                Rest::Clear(plain, clear) => {
+                    assert_eq!(parse(word.name.as_bytes()), Ok(Some(plain)));
+                    assert_eq!(parse(format!("{} clear", word.name).as_bytes()), Ok(Some(clear)));
+                    assert_eq!(parse(format!("{} clean", word.name).as_bytes()), Err(LineError::Clear));
+                }
                 Rest::Switch => assert_eq!(parse(word.name.as_bytes()), Err(LineError::Switch)),
             }
             assert_eq!(WORDS.iter().filter(|other| other.name == word.name).count(), 1);

@@ -6,6 +6,7 @@
 //! version                  of the program
 //! align                    align from the beginning
 //! calibrate                calibrate the gyros: from rest, better once aligned
+//! deviation                keep what was found of the housing's gyro error; `deviation clear` forgets it
 //! navigate                 dead reckoning from here: once aligned
 //! stop                     stop the rotor and rest
 //! selftest                 test, then rest: from rest only
@@ -25,12 +26,13 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Instant, Timer};
 use embedded_io_async::Read;
 use embedded_storage_async::nor_flash::NorFlash;
-use frames::units::DEG;
+use frames::units::{DEG, DEG_PER_HOUR};
+use nav::deviation::Deviation;
 
 use crate::blackbox::{self, Memory};
 use crate::command::Command;
 use crate::hal::Supply;
-use crate::nmea::{self, Line};
+use crate::nmea::{self, Line, Sentence};
 use crate::nmea_in::{Fix, Place};
 use crate::output::Port;
 use crate::settings::{Group, Position, Settings, Source, Store, StoreError};
@@ -44,6 +46,8 @@ pub use grammar::{LONGEST, LineBuffer, LineError, Request, Setting, WORDS, Word,
 const KEEP_S: u64 = 60;
 /// Closer than this to the one that is kept, rad, a position is the same: 0.01°, 1.1 km.
 const KEEP_AWAY: f32 = (0.01 * DEG) as f32;
+/// A deviation is worth keeping once its σ is below so much of that which the IMU's figures say.
+const LEARNT: f32 = 0.5;
 
 /// The task: takes lines from `rx`, answers them on `port`, keeps the settings.
 ///
@@ -144,6 +148,9 @@ async fn obey<M: RawMutex, F: NorFlash>(
             for setting in &grammar::SETTINGS {
                 port.answer(setting.tell(&settings)).await;
             }
+            if let Some(deviation) = &settings.deviation {
+                port.answer(tell(deviation)).await;
+            }
             let calibrated = settings.imu.calibration.is_some();
             (
                 true,
@@ -159,6 +166,18 @@ async fn obey<M: RawMutex, F: NorFlash>(
                 port.answer(entry.answer()).await;
             }
             (true, "no more faults")
+        }
+        Request::Deviation => match found(shared) {
+            Ok(deviation) => {
+                shared.change(|settings| settings.deviation = Some(deviation));
+                port.answer(tell(&deviation)).await;
+                (true, taken_up(Group::Installation))
+            }
+            Err(why) => (false, why),
+        },
+        Request::ClearDeviation => {
+            shared.change(|settings| settings.deviation = None);
+            (true, taken_up(Group::Installation))
         }
         Request::ClearFaults => {
             blackbox::clear(records);
@@ -213,6 +232,29 @@ async fn obey<M: RawMutex, F: NorFlash>(
     port.answer(nmea::answer(ok, text)).await;
 }
 
+/// The gyro error of the housing as the alignment has found it, where that is worth keeping.
+fn found<M: RawMutex>(shared: &Shared<M>) -> Result<Deviation, &'static str> {
+    let navigation = shared.navigation.try_get();
+    let found = navigation.and_then(|navigation| navigation.deviation);
+    let found = found.ok_or("nothing found: align then turn the base through four headings")?;
+    // At one heading σ stays what the figures of the IMU say.
+    if found.sd < LEARNT * shared.settings().noise.gyro_housing_sd {
+        Ok(found)
+    } else {
+        Err("not found yet: turn the base through four headings")
+    }
+}
+
+fn tell(deviation: &Deviation) -> Sentence {
+    let [x, y] = deviation.rate_b;
+    let mut line = Line::answer(true);
+    for (word, rate) in [("deviation ", x), (" ", y), (" deg/h sd ", deviation.sd)] {
+        line.words(word);
+        line.decimal(rate / DEG_PER_HOUR as f32, 3);
+    }
+    line.end()
+}
+
 /// All that a command or a calibration may have changed.
 async fn save<F: NorFlash>(
     store: &mut Store<F>,
@@ -227,6 +269,7 @@ async fn save<F: NorFlash>(
         Group::Imu,
         Group::Encoder,
         Group::Noise,
+        Group::Deviation,
     ] {
         if !supply.is_enough() {
             return Err(StoreError::Supply);

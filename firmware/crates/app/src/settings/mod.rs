@@ -24,6 +24,7 @@ use frames::units::{DEG, DEG_PER_SQRT_HOUR};
 use frames::{Attitude, Body, Nav, Rot, Sensor, Vec3, wording};
 use nav::aligner::AlignerConfig;
 use nav::calibration::{Calibration, MAX_SCATTER};
+use nav::deviation::Deviation;
 use nav::fine::FilterConfig;
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
@@ -74,10 +75,12 @@ pub enum Group {
     Encoder,
     /// The IMU's noise.
     Noise,
+    /// The gyro error that is constant in the housing.
+    Deviation,
 }
 
 /// Number of groups.
-pub const GROUPS: usize = 9;
+pub const GROUPS: usize = 10;
 
 impl Group {
     /// All there are, in the order of [`Report::origins`].
@@ -91,6 +94,7 @@ impl Group {
         Self::Thermal,
         Self::Encoder,
         Self::Noise,
+        Self::Deviation,
     ];
 
     /// For people.
@@ -105,6 +109,7 @@ impl Group {
             Self::Thermal => "thermal",
             Self::Encoder => "encoder",
             Self::Noise => "noise",
+            Self::Deviation => "deviation",
         }
     }
 
@@ -338,6 +343,8 @@ pub struct Settings {
     pub encoder: Encoder,
     /// [`Group::Noise`]: what aligner and navigator take the IMU for.
     pub noise: ImuNoise,
+    /// [`Group::Deviation`]: the gyro error that is constant in the housing, once it has been found.
+    pub deviation: Option<Deviation>,
 }
 
 impl Default for Settings {
@@ -354,6 +361,7 @@ impl Default for Settings {
             thermal: Thermal::default(),
             encoder: Encoder::default(),
             noise: ImuNoise::default(),
+            deviation: None,
         }
     }
 }
@@ -485,6 +493,7 @@ impl Settings {
             }
             Group::Encoder => self.encoder.fields(c),
             Group::Noise => noise(&mut self.noise, version, c),
+            Group::Deviation => deviation(&mut self.deviation, c),
         }
     }
 }
@@ -537,6 +546,22 @@ fn noise(noise: &mut ImuNoise, version: u8, c: &mut Codec<'_>) {
         c.number("accelerometer instability", accel_instability_sd, 0.0, 1.0);
         c.number("accelerometer instability time", accel_instability_tau, 0.1, 1e6);
     }
+}
+
+fn deviation(deviation: &mut Option<Deviation>, c: &mut Codec<'_>) {
+    let mut known = u8::from(deviation.is_some());
+    c.byte("deviation", &mut known, 1);
+    let mut found = deviation.unwrap_or(Deviation {
+        rate_b: [0.0; 2],
+        force_b: [0.0; 2],
+        sd: 1.0,
+    });
+    if known == 1 {
+        c.numbers("deviation", &mut found.rate_b, BIAS);
+        c.numbers("deviation force", &mut found.force_b, 100.0);
+        c.number("deviation sd", &mut found.sd, f32::MIN_POSITIVE, BIAS);
+    }
+    *deviation = (known == 1).then_some(found);
 }
 
 impl Imu {

@@ -88,6 +88,11 @@ fn unusual() -> Settings {
             accel_instability_sd: 4e-5,
             accel_instability_tau: 70.0,
         },
+        deviation: Some(Deviation {
+            rate_b: [1e-6, -2e-6],
+            force_b: [0.3, -0.4],
+            sd: 1e-7,
+        }),
     };
     settings.thermal.used = 3;
     for (i, row) in settings.thermal.rows.iter_mut().take(3).enumerate() {
@@ -155,10 +160,11 @@ fn keys_are_for_ever() {
             ("imu", 5),
             ("thermal", 6),
             ("encoder", 7),
-            ("noise", 8)
+            ("noise", 8),
+            ("deviation", 9)
         ]
     );
-    assert!(usize::from(Group::Noise.key()) < log::KEYS);
+    assert!(usize::from(Group::Deviation.key()) < log::KEYS);
 }
 
 #[test]
