@@ -96,3 +96,56 @@ fn a_unit_is_set_calibrated_saved_restarted_and_navigates() {
     assert!(place.starts_with("$HEGLL,4") && place.contains(",N,00830."), "{place}");
     assert!(outcome.flash.iter().any(|byte| *byte != 0xFF));
 }
+
+/// Turned through three headings, a minute and a half at each, the unit finds the gyro error of its housing, keeps it over a restart
+/// and aligns with it.
+#[test]
+fn a_unit_that_is_turned_keeps_its_deviation() {
+    let path = Image::release();
+    let image = Image::read(&path).unwrap_or_else(|e| panic!("{e}: `cargo fw` builds the image"));
+    let mut scenario = Scenario::builtin("four-headings").unwrap();
+    scenario.turn.truncate(2);
+    for (turn, at_s) in scenario.turn.iter_mut().zip([100.0, 190.0]) {
+        turn.at_s = at_s;
+    }
+    let typed = [
+        (95.0, "deviation"),
+        (282.0, "deviation"),
+        (283.0, "save"),
+        (284.0, "restart"),
+        (290.0, "show"),
+    ];
+    let setup = Setup {
+        typed: typed
+            .map(|(at_s, text)| Typed {
+                at_s,
+                text: text.to_owned(),
+            })
+            .to_vec(),
+        ..Setup::new(scenario, 5, 380.0)
+    };
+    let (outcome, kept) = run::run(&image, &setup, Kept::default()).unwrap();
+    let [early, found, taken, saved, _, shown @ ..] = &kept.answers[..] else {
+        panic!("{:?}", kept.answers)
+    };
+    assert_eq!(
+        early,
+        "error,nothing found: align then turn the base through four headings"
+    );
+    assert_eq!(
+        (taken.as_str(), saved.as_str()),
+        ("ok,set - align takes it up and save keeps it", "ok,saved")
+    );
+    // The truth is 0.3 and -0.4 °/h.
+    let figures: Vec<f64> = found.split(' ').filter_map(|word| word.parse().ok()).collect();
+    let [x, y, sd] = figures[..] else { panic!("{found}") };
+    assert!(
+        sd < 0.25 && (x - 0.3).abs() < 3.0 * sd && (y + 0.4).abs() < 3.0 * sd,
+        "{found}"
+    );
+    assert!(shown.contains(found), "{shown:?}");
+    // After the restart there is one heading only: 2.1° at the least without it.
+    let last = outcome.last.as_ref().unwrap();
+    let sd = last.sd.heading_deg;
+    assert!(sd < 1.6 && last.error.heading_deg.abs() < 3.0 * sd, "{last:?}");
+}
