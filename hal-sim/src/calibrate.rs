@@ -1,7 +1,8 @@
 //! Calibration of the gyros from a recorded log: a while at rest, then turning (\[Du16\] §3).
 //!
-//! The log is that of [`crate::log`]. The rest lasts until 0.3 s before the encoder is seen to leave where it stood; all
-//! after it is the turn, pauses and reversals included. The mathematics is the unit's own, [`nav::calibration`], in f64.
+//! The log is that of [`crate::log`]. The rest is the first that is long enough, whatever the rotor did before; it lasts until
+//! 0.3 s before the encoder is seen to leave where it stood. All after it is the turn, pauses and reversals included. The
+//! mathematics is the unit's own, [`nav::calibration`], in f64.
 
 use std::collections::VecDeque;
 use std::io::BufRead;
@@ -200,27 +201,44 @@ pub fn of_reader<R: BufRead>(
         .map(earth_rate)
         .transpose()
         .map_err(CalibrateError::Place)?;
-    let mut calibrator = Calibrator::new(CalibrationConfig {
+    let config = CalibrationConfig {
         angle_random_walk: setup.unit.angle_random_walk_deg_sqrt_h * DEG_PER_SQRT_HOUR,
         instability: setup.unit.gyro_instability_deg_h * DEG_PER_HOUR,
         rest: setup.rest_s,
         w_ie_b,
         ..CalibrationConfig::default()
-    })?;
+    };
+    let mut calibrator = Calibrator::new(config)?;
     let (mut stand, mut turning) = (None, false);
     let (mut latest, mut length) = (VecDeque::new(), 0.0);
+    // Why the best of the rests so far is none.
+    let mut refused: Option<CalibrationError> = None;
     for row in log {
         let row = row?;
-        turning |= (row.encoder - *stand.get_or_insert(row.encoder)).abs() > REST_TRAVEL;
+        let sample = (row.sample(), row.encoder);
         if turning {
-            for (sample, encoder) in latest.drain(..) {
-                calibrator.turn(&sample, encoder)?;
+            calibrator.turn(&sample.0, sample.1)?;
+            continue;
+        }
+        if (row.encoder - *stand.get_or_insert(row.encoder)).abs() > REST_TRAVEL {
+            latest.push_back(sample);
+            match latest
+                .iter()
+                .try_for_each(|(sample, encoder)| calibrator.turn(sample, *encoder))
+            {
+                Ok(()) => turning = true,
+                Err(why @ (CalibrationError::RestTooShort { .. } | CalibrationError::BaseMoved { .. })) => {
+                    refused = Some(refused.map_or(why, |before| better(before, why)));
+                    calibrator = Calibrator::new(config)?;
+                    (stand, length) = (Some(row.encoder), 0.0);
+                }
+                Err(why) => return Err(why.into()),
             }
-            calibrator.turn(&row.sample(), row.encoder)?;
+            latest.clear();
             continue;
         }
         length += row.dt_s;
-        latest.push_back((row.sample(), row.encoder));
+        latest.push_back(sample);
         while length > BEGINNING
             && let Some((sample, encoder)) = latest.pop_front()
         {
@@ -229,19 +247,36 @@ pub fn of_reader<R: BufRead>(
         }
     }
     if !turning {
-        return Err(CalibrateError::NoTurn);
+        let rested = calibrator.rested() >= setup.rest_s;
+        return Err(refused
+            .filter(|_| !rested)
+            .map_or(CalibrateError::NoTurn, CalibrateError::Calibration));
     }
     let calibration = calibrator.finish()?;
     Ok((calibration, Report::new(&calibration, &setup.unit)))
 }
 
-/// Writes the log `from` as `to`, its gyros corrected.
+/// Of two rests that are none, what to tell: that the base moved, or that the longer one was too short.
+fn better(a: CalibrationError, b: CalibrationError) -> CalibrationError {
+    let rested = |why: CalibrationError| match why {
+        CalibrationError::RestTooShort { seconds, .. } => seconds,
+        _ => f32::INFINITY,
+    };
+    if rested(a) > rested(b) { a } else { b }
+}
+
+/// Writes the log `from`, open as `log`, as `to`, its gyros corrected.
 ///
 /// # Errors
 /// [`ConvertError`].
-pub fn correct_log(from: &Path, to: &Path, calibration: &Calibration<f64>) -> Result<(), ConvertError> {
+pub fn correct_log<R: BufRead>(
+    log: &mut LogReader<R>,
+    from: &Path,
+    to: &Path,
+    calibration: &Calibration<f64>,
+) -> Result<(), ConvertError> {
     let corrected = |row: &LogRow| calibration.corrected(&row.sample());
-    convert_from(&mut LogReader::open(from)?, from, to, corrected).map(drop)
+    convert_from(log, from, to, corrected).map(drop)
 }
 
 #[cfg(test)]
@@ -329,14 +364,17 @@ mod tests {
         assert!((report.induced_sd_deg_h / (report.column_sd_ppm * PPM * 20.0 * 3600.0) - 1.0).abs() < 0.01);
 
         // What is corrected needs no correction, but for a thousandth of Earth's rate that was taken for bias.
-        correct_log(&log, &corrected, &c).unwrap();
+        correct_log(&mut LogReader::open(&log).unwrap(), &log, &corrected, &c).unwrap();
         let (_, again) = of_log(&corrected, &setup(Some(STAND))).unwrap();
         assert!(again.bias_deg_h.iter().all(|b| b.abs() < 0.05), "{again:?}");
         assert!(again.k_xz_arcmin.abs() < 1e-3 && again.s_z_ppm.abs() < 0.1, "{again:?}");
 
         // In its own place it would be gone.
         let whole = std::fs::read(&log).unwrap();
-        assert!(matches!(correct_log(&log, &log, &c), Err(ConvertError::Itself(_))));
+        assert!(matches!(
+            correct_log(&mut LogReader::open(&log).unwrap(), &log, &log, &c),
+            Err(ConvertError::Itself(_))
+        ));
         assert_eq!(std::fs::read(&log).unwrap(), whole);
     }
 
@@ -363,6 +401,35 @@ mod tests {
         let left_in = of_log(&log, &setup(None)).unwrap().1;
         let z = left_in.bias_deg_h[2] - known.bias_deg_h[2];
         assert!((z - 15.041 * (40.0 * DEG).sin()).abs() < 0.05, "{z}");
+    }
+
+    /// A unit that turned, and rested for too short, before it was calibrated.
+    #[test]
+    fn the_rest_is_found_after_something_else() {
+        let dir = tempfile::TempDir::new().unwrap();
+        let (plain, log) = (dir.path().join("a.csv"), dir.path().join("b.csv"));
+        recorded(&plain, 61.0, 72.0, 3);
+        let rows: Vec<LogRow> = LogReader::open(&plain).unwrap().map(Result::unwrap).collect();
+        let mut out = LogWriter::create(&log, false).unwrap();
+        let turned = rows.iter().skip(100 * 50).take(20 * 50);
+        let rested = rows.iter().take(30 * 50);
+        for (k, row) in turned.clone().chain(rested).chain(turned).chain(&rows).enumerate() {
+            let sample = row.sample();
+            let t_s = (k + 1) as f64 / RATE_HZ;
+            out.write(t_s, sample.dt, sample.dtheta_s, sample.dv_s, row.encoder, None)
+                .unwrap();
+        }
+        out.finish().unwrap();
+        let (expected, _) = of_log(&plain, &setup(Some(STAND))).unwrap();
+        let (found, report) = of_log(&log, &setup(Some(STAND))).unwrap();
+        assert!((report.rest_s - 60.7).abs() < 0.1, "{report:?}");
+        for (a, b) in [
+            (found.k_xz, expected.k_xz),
+            (found.k_yz, expected.k_yz),
+            (found.s_z, expected.s_z),
+        ] {
+            assert!((a - b).abs() < 0.5 * PPM, "{a} {b}");
+        }
     }
 
     #[test]

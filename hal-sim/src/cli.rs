@@ -24,7 +24,9 @@ use hal_sim::config::ConfigProblem;
 use hal_sim::inspect::{self, defmt::Elf, live, live::Tail};
 use hal_sim::link::serve::Served;
 use hal_sim::link::{self, Link};
-use hal_sim::log::{Header, LogError, LogReader, LogRow, LogWarning, LogWriter, UnitStatus, convert_from, not_itself};
+use hal_sim::log::{
+    Format, Header, LogError, LogReader, LogRow, LogWarning, LogWriter, UnitStatus, convert_from, not_itself,
+};
 use hal_sim::monte_carlo;
 use hal_sim::observability::{self, Attitude, Segment};
 use hal_sim::replay;
@@ -39,10 +41,11 @@ use hal_sim::unit_sim::{self, Line, Typed};
 use indicatif::{ProgressBar, ProgressBarIter, ProgressFinish, ProgressStyle};
 use nav::aligner::{Event, Restart};
 use nav::rotor::RotorConfig;
+use tempfile::NamedTempFile;
 
 use args::{
-    AllanArgs, Base, BoundArgs, CalibrateArgs, Cli, Command, InspectArgs, LinkArgs, MonteCarloArgs, ObservabilityArgs,
-    ReplayArgs, ReproduceArgs, RunArgs, Simulated, SoakArgs, TurnArgs, UnitArgs,
+    AllanArgs, Base, BoundArgs, CalibrateArgs, Cli, Command, ConvertArgs, InspectArgs, LinkArgs, LogArgs,
+    MonteCarloArgs, ObservabilityArgs, ReplayArgs, ReproduceArgs, RunArgs, Simulated, SoakArgs, TurnArgs, UnitArgs,
 };
 use colour::Sense;
 
@@ -72,7 +75,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Observability(args) => observe(&args),
         Command::Allan(args) => allan(&args, cli.quiet),
         Command::Calibrate(args) => calibrate(&args, cli.quiet),
-        Command::Convert { log, csv } => convert_log(&log, &csv, cli.quiet),
+        Command::Convert(args) => convert_log(&args, cli.quiet),
         Command::Turn(args) => turn(&args, cli.quiet),
         Command::Reproduce(args) => reproduce(&args, cli.quiet),
         Command::Inspect(args) => inspect(&args),
@@ -238,17 +241,18 @@ fn bound(args: &BoundArgs) -> Done {
 }
 
 fn replay(args: &ReplayArgs, quiet: bool) -> Done {
-    let (log, bar) = open_log(&args.log, quiet)?;
+    let input = Input::new(&args.input)?;
+    let (log, bar) = input.open(quiet)?;
     if log.header().is_none() && args.latitude_deg.is_none() {
         return Err("a CSV log does not say where it was recorded: add --latitude-deg L".to_owned());
     }
     let unit = match &args.unit {
         Some(name) => Some(Unit::find(name).map_err(words)?),
         None if log.header().is_some() => None,
-        None => Some(unit_of_log(&args.log, quiet)?),
+        None => Some(unit_of_log(&input, quiet)?),
     };
     let unit = match unit {
-        Some(unit) if log.header().is_none() => Some(with_quantisation(&args.log, unit, quiet)?),
+        Some(unit) if log.header().is_none() => Some(with_quantisation(&input, unit, quiet)?),
         unit => unit,
     };
     // What is said here goes before what a recording says, all along.
@@ -273,8 +277,11 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
             ..recorded
         }
     };
+    args.report.as_deref().map_or(Ok(()), folder)?;
+    let setup = told(log.header());
     let mut observer = ReplayObserver {
         bar,
+        moments: args.report.is_some().then(Vec::new),
         quiet,
         bridged: 0,
         bridged_s: 0.0,
@@ -313,24 +320,34 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
             observer.restarted - RESTARTS_TOLD
         ));
     }
+    if let (Some(dir), Some(moments)) = (&args.report, &observer.moments) {
+        let origin = report::Replayed {
+            log: &input.name,
+            setup: &setup,
+            command: &command_line(),
+        };
+        report::replay(dir, &origin, &result, moments).map_err(words)?;
+    }
     if args.json {
         print_json(&result)?;
     } else {
         print(&table::replay(&result))?;
+        if let Some(dir) = &args.report {
+            print(&format!("report: {}\n", dir.join("report.html").display()))?;
+        }
     }
     Ok(exit(result.state))
 }
 
 /// The figures of the IMU of a CSV log: those beside it, or those that it shows and says on the way.
-fn unit_of_log(log: &Path, quiet: bool) -> Result<Unit, String> {
-    let beside = Unit::beside(log);
-    if beside.exists() {
+fn unit_of_log(input: &Input, quiet: bool) -> Result<Unit, String> {
+    if let Some(beside) = input.figures() {
         if !quiet {
             eprintln!("IMU: the figures in {}", beside.display());
         }
         return Unit::load(&beside).map_err(words);
     }
-    let (reader, _) = open_log(log, true)?;
+    let (reader, _) = input.open(true)?;
     let unit = replay::measured(reader);
     if !quiet {
         eprintln!(
@@ -347,8 +364,8 @@ fn unit_of_log(log: &Path, quiet: bool) -> Result<Unit, String> {
 }
 
 /// The figures of the IMU, its white noise no less than the steps of the log make it where they are far above.
-fn with_quantisation(log: &Path, unit: Unit, quiet: bool) -> Result<Unit, String> {
-    let (mut reader, _) = open_log(log, true)?;
+fn with_quantisation(input: &Input, unit: Unit, quiet: bool) -> Result<Unit, String> {
+    let (mut reader, _) = input.open(true)?;
     let (gyro, accel) = replay::quantisation(&mut reader);
     let coarse = |steps: f64, told: f64| steps > COARSE * told;
     let mut with = unit;
@@ -380,6 +397,8 @@ const RESTARTS_TOLD: u64 = 5;
 struct ReplayObserver {
     bar: ProgressBar,
     quiet: bool,
+    /// What a report shows, where there is to be one.
+    moments: Option<Vec<replay::Moment>>,
     bridged: u64,
     bridged_s: f64,
     restarted: u64,
@@ -407,6 +426,12 @@ impl replay::Observer for ReplayObserver {
         }
     }
 
+    fn moment(&mut self, moment: &replay::Moment) {
+        if let Some(moments) = &mut self.moments {
+            moments.push(*moment);
+        }
+    }
+
     fn status(&mut self, status: &UnitStatus) {
         told(&self.bar, self.quiet, status.t_s, &format!("unit: {status}"));
     }
@@ -419,21 +444,96 @@ impl replay::Observer for ReplayObserver {
 /// A log, and a bar that goes on as it is read.
 type OpenLog = LogReader<BufReader<ProgressBarIter<File>>>;
 
-fn open_log(path: &Path, quiet: bool) -> Result<(OpenLog, ProgressBar), String> {
-    let name = path.display().to_string();
-    let opened = File::open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
-    let (length, file) = opened.map_err(|e| LogError::cannot_read(&name, &e).to_string())?;
-    let bar = bar(length, "bytes", quiet);
-    let input = BufReader::with_capacity(1 << 16, bar.wrap_read(file));
-    Ok((LogReader::new(input, &name).map_err(words)?, bar))
+/// A log that is to be read, also more than once.
+struct Input {
+    path: PathBuf,
+    name: String,
+    format: Format,
+    /// Standard input as a file, which can be read more than once.
+    kept: Option<NamedTempFile>,
 }
 
-fn convert_log(from: &Path, to: &Path, quiet: bool) -> Done {
-    has_folder(to)?;
-    let (mut reader, bar) = open_log(from, quiet)?;
-    let rows = convert_from(&mut reader, from, to, LogRow::sample).map_err(words)?;
+impl Input {
+    fn new(args: &LogArgs) -> Result<Self, String> {
+        let mut format = args
+            .format
+            .as_deref()
+            .map_or(Ok(Format::default()), Format::find)
+            .map_err(words)?;
+        if let Some(mounting) = args.mounting {
+            format = format.with_mounting(mounting);
+        }
+        if let Some(unit) = args.encoder_unit {
+            format = format.with_encoder_unit(unit);
+        }
+        if let Some(rate_hz) = args.rate_hz {
+            format = format.with_rate(rate_hz);
+        }
+        let mut input = Self {
+            path: args.log.clone(),
+            name: args.log.display().to_string(),
+            format,
+            kept: None,
+        };
+        if args.log == Path::new("-") {
+            "standard input".clone_into(&mut input.name);
+            let mut kept = NamedTempFile::new().map_err(|e| input.cannot_read(&e))?;
+            io::copy(&mut io::stdin().lock(), &mut kept).map_err(|e| input.cannot_read(&e))?;
+            input.kept = Some(kept);
+        }
+        Ok(input)
+    }
+
+    fn cannot_read(&self, error: &io::Error) -> String {
+        LogError::cannot_read(&self.name, error).to_string()
+    }
+
+    fn file(&self) -> io::Result<(u64, File)> {
+        let file = match &self.kept {
+            Some(kept) => kept.reopen()?,
+            None => File::open(&self.path)?,
+        };
+        Ok((file.metadata()?.len(), file))
+    }
+
+    fn open(&self, quiet: bool) -> Result<(OpenLog, ProgressBar), String> {
+        let (length, file) = self.file().map_err(|e| self.cannot_read(&e))?;
+        let bar = bar(length, "bytes", quiet);
+        let input = BufReader::with_capacity(1 << 16, bar.wrap_read(file));
+        let log = LogReader::with_format(input, &self.name, &self.format).map_err(words)?;
+        Ok((log, bar))
+    }
+
+    /// The file with the figures of the IMU that is beside the log, where there is one.
+    fn figures(&self) -> Option<PathBuf> {
+        let beside = self.kept.is_none().then(|| Unit::beside(&self.path));
+        beside.filter(|beside| beside.exists())
+    }
+
+    /// Writes the figures of the log's IMU beside the log that was made of it, so that `replay` finds them there.
+    fn pass_figures_on(&self, header: Option<&Header>, to: &Path, quiet: bool) -> Result<(), String> {
+        let unit = match (header, self.figures()) {
+            (Some(header), _) => Unit::of_noise(&header.noise),
+            (None, Some(beside)) => Unit::load(&beside).map_err(words)?,
+            (None, None) => return Ok(()),
+        };
+        let beside = Unit::beside(to);
+        std::fs::write(&beside, unit.to_toml().map_err(words)?).map_err(|e| cannot_write(&beside, &e))?;
+        if !quiet {
+            eprintln!("IMU: its figures in {}", beside.display());
+        }
+        Ok(())
+    }
+}
+
+fn convert_log(args: &ConvertArgs, quiet: bool) -> Done {
+    has_folder(&args.csv)?;
+    let input = Input::new(&args.input)?;
+    let (mut reader, bar) = input.open(quiet)?;
+    let rows = convert_from(&mut reader, &input.path, &args.csv, LogRow::sample).map_err(words)?;
     bar.finish_and_clear();
     reader.warnings().iter().for_each(|warning| warn(&warning.to_string()));
+    input.pass_figures_on(reader.header(), &args.csv, quiet)?;
     if !quiet {
         eprintln!("{rows} rows");
     }
@@ -448,10 +548,12 @@ fn turn(args: &TurnArgs, quiet: bool) -> Done {
         travel: args.travel * radians,
         acceleration: args.acceleration * radians,
     };
-    let (mut log, bar) = open_log(&args.log, quiet)?;
-    let rows = turn::turn(&mut log, &args.log, &args.out, &rotor).map_err(words)?;
+    let input = Input::new(&args.input)?;
+    let (mut log, bar) = input.open(quiet)?;
+    let rows = turn::turn(&mut log, &input.path, &args.out, &rotor).map_err(words)?;
     bar.finish_and_clear();
     log.warnings().iter().for_each(|warning| warn(&warning.to_string()));
+    input.pass_figures_on(log.header(), &args.out, quiet)?;
     if !quiet {
         eprintln!("{rows} rows");
     }
@@ -684,10 +786,11 @@ fn allan(args: &AllanArgs, quiet: bool) -> Done {
     args.unit.as_deref().map_or(Ok(()), has_folder)?;
     let mut written = args.unit.iter().chain([&args.plot]);
     written
-        .try_for_each(|path| not_itself(&args.log, path))
+        .try_for_each(|path| not_itself(&args.input.log, path))
         .map_err(words)?;
-    let named = |e| format!("{}: {e}", args.log.display());
-    let (mut log, bar) = open_log(&args.log, quiet)?;
+    let input = Input::new(&args.input)?;
+    let named = |e| format!("{}: {e}", input.name);
+    let (mut log, bar) = input.open(quiet)?;
     let report = allan::of_reader(&mut log).map_err(|e| match e {
         // A log's own errors begin with its name.
         AllanError::Log(e) => e.to_string(),
@@ -714,8 +817,9 @@ fn allan(args: &AllanArgs, quiet: bool) -> Done {
 fn calibrate(args: &CalibrateArgs, quiet: bool) -> Done {
     if let Some(path) = &args.corrected {
         has_folder(path)?;
-        not_itself(&args.log, path).map_err(words)?;
+        not_itself(&args.input.log, path).map_err(words)?;
     }
+    let input = Input::new(&args.input)?;
     let unit = args.unit.as_deref().map(Unit::find).transpose().map_err(words)?;
     let setup = calibrate::Setup {
         unit: unit.unwrap_or_default(),
@@ -730,14 +834,15 @@ fn calibrate(args: &CalibrateArgs, quiet: bool) -> Done {
     };
     let named = |e: CalibrateError| match e {
         CalibrateError::Log(_) => e.to_string(),
-        other => format!("{}: {other}", args.log.display()),
+        other => format!("{}: {other}", input.name),
     };
-    let (mut log, bar) = open_log(&args.log, quiet)?;
+    let (mut log, bar) = input.open(quiet)?;
     let (calibration, report) = calibrate::of_reader(&mut log, &setup).map_err(named)?;
     bar.finish_and_clear();
     log.warnings().iter().for_each(|warning| warn(&warning.to_string()));
     if let Some(corrected) = &args.corrected {
-        calibrate::correct_log(&args.log, corrected, &calibration).map_err(words)?;
+        let (mut log, _) = input.open(true)?;
+        calibrate::correct_log(&mut log, &input.path, corrected, &calibration).map_err(words)?;
     }
     if args.json {
         print_json(&report)?;

@@ -24,6 +24,13 @@ pub enum ConfigProblem {
     Value(String),
     /// No built-in scenario has this name; the names there are.
     UnknownScenario(String),
+    /// Neither the name of a format nor a file that can be read.
+    UnknownFormat {
+        /// Why it cannot be read; the system's words.
+        why: String,
+        /// The names there are.
+        names: String,
+    },
     /// Neither the name of a part nor a file that can be read.
     UnknownPart {
         /// Why it cannot be read; the system's words.
@@ -40,6 +47,7 @@ impl core::fmt::Display for ConfigProblem {
             Self::Syntax(what) => write!(f, "not valid TOML: {what}"),
             Self::UnknownKey(known) => write!(f, "unknown key; known here: {known}"),
             Self::WrongType(what) | Self::Value(what) => f.write_str(what),
+            Self::UnknownFormat { why, names } => write!(f, "neither a format ({names}) nor a file: {why}"),
             Self::UnknownPart { why, names } => write!(f, "neither a part ({names}) nor a file: {why}"),
             Self::UnknownScenario(names) => write!(
                 f,

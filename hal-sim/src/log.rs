@@ -23,6 +23,9 @@
 mod binary;
 mod check;
 mod csv;
+pub mod format;
+#[cfg(test)]
+mod format_tests;
 #[cfg(test)]
 mod tests;
 mod time;
@@ -37,6 +40,7 @@ use nav::increment::Sample;
 
 pub use binary::{Header, Loss, Lost, UnitStatus};
 pub use check::{Checker, LogWarning, WarningKind};
+pub use format::Format;
 
 /// The columns every log has, in the order they are written.
 pub const COLUMNS: [&str; 8] = [
@@ -74,12 +78,25 @@ pub enum LogProblem {
     Compressed,
     /// Text in UTF-16.
     Utf16,
+    /// A recording whose bytes were written as text in UTF-8.
+    SavedAsText {
+        /// Whether the bytes can be had back.
+        whole: bool,
+    },
     /// The first line is not a header but numbers.
     NoHeader,
     /// Columns the header lacks.
-    MissingColumns(Vec<&'static str>),
+    MissingColumns(Vec<String>),
     /// A column that appears twice.
-    DuplicateColumn(&'static str),
+    DuplicateColumn(String),
+    /// No line has numbers in the columns that a format tells by their numbers: the columns.
+    NoNumbers(String),
+    /// Rows are to be counted, but their rate is not told.
+    NoRate,
+    /// A sentence whose check sum is missing or wrong.
+    CheckSum,
+    /// A format was told for the recording of a unit's line.
+    NotByFormat,
     /// A header and nothing after it.
     NoRows,
     /// One row, whose interval is unknown.
@@ -91,7 +108,14 @@ pub enum LogProblem {
         /// Fields in the header.
         expected: usize,
     },
-    /// The same, as if numbers had decimal commas where a comma separates.
+    /// The row has not as many fields as the first one.
+    RowLength {
+        /// Fields in the row.
+        found: usize,
+        /// Fields in the first.
+        expected: usize,
+    },
+    /// The same as [`Self::FieldCount`], as if numbers had decimal commas where a comma separates.
     DecimalComma {
         /// Fields in the row.
         found: usize,
@@ -101,14 +125,14 @@ pub enum LogProblem {
     /// Text, nothing, NaN or infinity in the place of a number.
     NotANumber {
         /// The column.
-        column: &'static str,
+        column: String,
         /// What is there, shortened.
         text: String,
     },
     /// A number beyond any sensor.
     TooLarge {
         /// The column.
-        column: &'static str,
+        column: String,
         /// What is there.
         value: f64,
     },
@@ -214,7 +238,7 @@ fn cause(ratio: f64) -> String {
     let (units, turn) = (ratio.abs().recip(), ratio.abs().recip() * TAU);
     let bits = turn.log2();
     let what = if near(TAU) {
-        "encoder_rad looks like turns, multiply by 6.283185".to_owned()
+        "encoder_rad looks like turns, --encoder-unit turns".to_owned()
     } else if near(1e3) {
         "the gyros look like mrad/s, multiply by 0.001".to_owned()
     } else if near(57_295.8) {
@@ -222,7 +246,7 @@ fn cause(ratio: f64) -> String {
     } else if near(206_264.8) {
         "the gyros look like degrees/h, multiply by 4.848137e-6".to_owned()
     } else if ratio.abs() > 1.5 {
-        "the gyros look like counts, multiply by what a count is in rad/s; or encoder_rad by what its unit is in rad"
+        "the gyros look like counts, tell what one is in a --format; or encoder_rad is in another unit, --encoder-unit"
             .to_owned()
     } else if units < 50.0 && (units - units.round()).abs() < 0.12 * units && units.round() >= 2.0 {
         format!(
@@ -231,11 +255,11 @@ fn cause(ratio: f64) -> String {
         )
     } else if bits > 7.0 && (bits - bits.round()).abs() < 0.1 {
         format!(
-            "encoder_rad looks like counts, 2^{bits:.0} a turn, multiply by 6.283185/{:.0}",
+            "encoder_rad looks like counts, 2^{bits:.0} a turn, --encoder-unit {:.0}/turn",
             bits.round().exp2()
         )
     } else if units > 20.0 {
-        format!("encoder_rad looks like counts, about {turn:.0} a turn, multiply by 6.283185 over the counts of a turn")
+        format!("encoder_rad looks like counts, about {turn:.0} a turn: say how many, as --encoder-unit 16384/turn")
     } else {
         "a wrong scale, times that are wrong, a gear between rotor and encoder, or a base that turns".to_owned()
     };
@@ -275,6 +299,14 @@ impl core::fmt::Display for LogProblem {
             Self::Utf16 => f.write_str(
                 "the file is text in UTF-16, as PowerShell's `>` writes it: save it as UTF-8 (Out-File -Encoding utf8)",
             ),
+            Self::SavedAsText { whole: true } => f.write_str(
+                "the recording was saved as text in UTF-8, which changes its bytes: `iconv -f UTF-8 -t LATIN1 FILE > LOG.bin` \
+                 gives them back",
+            ),
+            Self::SavedAsText { whole: false } => f.write_str(
+                "the recording was saved as text, and the bytes that are none are lost: record again, with `hal-sim link --record` \
+                 or a terminal that saves raw bytes",
+            ),
             Self::NoHeader => write!(
                 f,
                 "no header: the first line must name the columns {}",
@@ -285,11 +317,26 @@ impl core::fmt::Display for LogProblem {
                 write!(f, "{noun} missing: {names}; the header must name them")
             }
             Self::DuplicateColumn(name) => write!(f, "column {name} appears twice: remove one"),
+            Self::NoNumbers(columns) => write!(
+                f,
+                "no line has numbers in {columns}, where the format has time and sensors: another --format?"
+            ),
+            Self::NoRate => f.write_str("no column has the time: say how many rows a second there are, --rate-hz 100"),
+            Self::CheckSum => f.write_str("the check sum of the sentence is missing or wrong: remove the line"),
+            Self::NotByFormat => f.write_str(
+                "the recording of a unit's line says itself what it holds: leave out --format, --mounting, --encoder-unit and \
+                 --rate-hz",
+            ),
             Self::NoRows => f.write_str("no rows after the header: nothing was recorded"),
             Self::SingleRow => f.write_str("a single row: its interval is unknown, two rows are the least"),
             Self::FieldCount { found, expected } => write!(
                 f,
                 "{found} {} where the header has {expected}: remove the row or repair it",
+                if *found == 1 { "field" } else { "fields" }
+            ),
+            Self::RowLength { found, expected } => write!(
+                f,
+                "{found} {} where the first row has {expected}: remove the row or repair it",
                 if *found == 1 { "field" } else { "fields" }
             ),
             Self::DecimalComma { found, expected } => write!(
@@ -339,7 +386,7 @@ impl core::fmt::Display for LogProblem {
             Self::AccelUnit { mean, unit, factor } => write!(
                 f,
                 "the accelerometers read {mean:.3} on average where gravity is 9.8 m/s²: they look like {unit}, \
-                 multiply by {factor}"
+                 multiply by {factor} or name the unit in a --format"
             ),
             Self::AccelNorm(mean) => write!(
                 f,
@@ -348,12 +395,12 @@ impl core::fmt::Display for LogProblem {
             Self::AccelAxes(z) if *z < 0.0 => write!(
                 f,
                 "accel_z_m_s2 is {z:.2} on average where z is up and gravity reads +9.8: change the signs of all three \
-                 accelerometers; or, of an IMU that hangs upside down, the signs of y and z of gyros and accelerometers"
+                 accelerometers; or, of an IMU that hangs upside down, --mounting x,-y,-z"
             ),
             Self::AccelAxes(z) => write!(
                 f,
                 "accel_z_m_s2 is {z:.2} on average where z is up and gravity reads +9.8: exchange the axes so that z is the \
-                 rotor's axis, and set that upright"
+                 rotor's axis, as --mounting y,z,x does, and set that upright"
             ),
             Self::GyroUnit(rate) => write!(
                 f,
@@ -362,15 +409,16 @@ impl core::fmt::Display for LogProblem {
             ),
             Self::GyroDegrees(ratio) => write!(
                 f,
-                "gyro_z_rad_s is {ratio:.1} times the encoder's rate: the gyros look like °/s, multiply by 0.0174533"
+                "gyro_z_rad_s is {ratio:.1} times the encoder's rate: the gyros look like °/s, multiply by 0.0174533 or \
+                 name the unit in a --format"
             ),
             Self::EncoderDegrees(rate) => write!(
                 f,
-                "encoder_rad turns at {rate:.1} a second: it looks like degrees, multiply by 0.0174533"
+                "encoder_rad turns at {rate:.1} a second: it looks like degrees, --encoder-unit deg"
             ),
             Self::Opposite => f.write_str(
                 "gyro_z_rad_s and encoder_rad turn in opposite directions: both are positive counter-clockwise from \
-                 above, change the sign of the wrong one",
+                 above, change the sign of the wrong one; a minus in --encoder-unit is that of the encoder",
             ),
             Self::Mismatch(ratio) => {
                 let digits = if ratio.abs() < 0.1 { 7 } else { 3 };
@@ -623,7 +671,7 @@ impl LogError {
 }
 
 /// Whether text begins in two bytes a character: by its mark, or by every second byte of it.
-fn is_utf16(start: &[u8]) -> bool {
+pub(crate) fn is_utf16(start: &[u8]) -> bool {
     let wide = |zero: usize| {
         let first = start.first_chunk::<8>();
         first.is_some_and(|first| {
@@ -636,28 +684,70 @@ fn is_utf16(start: &[u8]) -> bool {
     start.starts_with(b"\xff\xfe") || start.starts_with(b"\xfe\xff") || wide(0) || wide(1)
 }
 
+/// What a terminal that saves text makes of a recording's bytes: each one beyond ASCII becomes a character of Latin-1, or
+/// the mark for what is none.
+fn saved_as_text(start: &[u8]) -> Option<LogProblem> {
+    let whole = start.utf8_chunks().next()?.valid();
+    if whole.is_ascii() {
+        return None;
+    }
+    let bytes: Option<Vec<u8>> = whole.chars().map(|c| u8::try_from(c).ok()).collect();
+    if bytes.is_some_and(|bytes| binary::has_frame(&bytes)) {
+        return Some(LogProblem::SavedAsText { whole: true });
+    }
+    // Text has no control characters, and marks are rare in it.
+    let count = |is: fn(char) -> bool| whole.chars().filter(|c| is(*c)).count();
+    let (marks, controls) = (
+        count(|c| c == char::REPLACEMENT_CHARACTER),
+        count(|c| c.is_ascii_control() && !c.is_ascii_whitespace() && c != '\0'),
+    );
+    (marks >= LOST_BYTES && controls >= LOST_BYTES).then_some(LogProblem::SavedAsText { whole: false })
+}
+
+/// So many marks of lost bytes, and so many control characters, are no text.
+const LOST_BYTES: usize = 8;
+
 impl<R: BufRead> LogReader<R> {
     /// Reads the header from `input`; `file_name` is for messages.
     ///
     /// # Errors
     /// [`LogError`] where there is no header or it lacks something.
-    pub fn new(mut input: R, file_name: &str) -> Result<Self, LogError> {
+    pub fn new(input: R, file_name: &str) -> Result<Self, LogError> {
+        Self::with_format(input, file_name, &Format::default())
+    }
+
+    /// The same for text whose columns are those of `format`.
+    ///
+    /// # Errors
+    /// As of [`Self::new`].
+    pub fn with_format(mut input: R, file_name: &str, format: &Format) -> Result<Self, LogError> {
         let mut start = Vec::with_capacity(LOOK);
         let looked = (&mut input).take(LOOK as u64).read_to_end(&mut start);
         looked.map_err(|error| LogError::cannot_read(file_name, &error))?;
-        let binary = binary::is_recording(&start);
+        let refused = |problem| LogError {
+            file: file_name.to_owned(),
+            at: None,
+            problem,
+        };
+        let binary = if format.is_default() {
+            binary::is_recording(&start)
+        } else if binary::has_frame(&start) {
+            return Err(refused(LogProblem::NotByFormat));
+        } else {
+            // Others send sentences as well.
+            false
+        };
+        if let Some(problem) = saved_as_text(&start).filter(|_| !binary::has_frame(&start)) {
+            return Err(refused(problem));
+        }
         if !binary && is_utf16(&start) {
-            return Err(LogError {
-                file: file_name.to_owned(),
-                at: None,
-                problem: LogProblem::Utf16,
-            });
+            return Err(refused(LogProblem::Utf16));
         }
         let whole = Cursor::new(start).chain(input);
         Ok(Self(if binary {
             Source::Binary(Box::new(binary::Reader::new(whole, file_name)?))
         } else {
-            Source::Csv(Box::new(csv::Reader::new(whole, file_name)?))
+            Source::Csv(Box::new(csv::Reader::new(whole, file_name, format)?))
         }))
     }
 

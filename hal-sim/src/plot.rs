@@ -9,6 +9,7 @@ use plotters::prelude::*;
 
 use crate::align::Angles;
 use crate::bound::Sigmas;
+use crate::replay;
 use crate::simulate::Moment;
 use plane::{Key, Plane, Scale};
 use sheet::{BLUE, GREY, VERMILION};
@@ -142,29 +143,36 @@ pub fn attitude_error(width: Width, moments: &[Moment]) -> Result<Svg, PlotError
     )
 }
 
+/// A line of (time, value, σ) with so many σ about it.
+fn estimated<'a>(
+    title: &'a str,
+    unit: &'a str,
+    values: impl Iterator<Item = (f64, f64, f64)> + Clone,
+    sigmas: f64,
+) -> Panel<'a> {
+    Panel {
+        title,
+        unit,
+        line: values.clone().map(|(t, value, _)| (t, value)).collect(),
+        reference: Vec::new(),
+        band: values.map(|(t, value, sd)| (t, value, sigmas * sd)).collect(),
+    }
+}
+
 /// Gyro biases found, with ±1σ, and true.
 ///
 /// # Errors
 /// [`PlotError`] where the drawing library fails.
 pub fn biases(width: Width, moments: &[Moment]) -> Result<Svg, PlotError> {
-    let panel = |title, axis: usize| Panel {
-        title,
-        unit: "bias (°/h)",
-        line: moments
-            .iter()
-            .map(|m| (m.t_s, m.reading.gyro_bias_deg_h[axis]))
-            .collect(),
-        reference: moments.iter().map(|m| (m.t_s, m.true_gyro_bias_deg_h[axis])).collect(),
-        band: moments
-            .iter()
-            .map(|m| {
-                (
-                    m.t_s,
-                    m.reading.gyro_bias_deg_h[axis],
-                    m.reading.gyro_bias_sd_deg_h[axis],
-                )
-            })
-            .collect(),
+    let panel = |title, axis: usize| {
+        let found = moments.iter().map(|m| {
+            let (bias, sd) = (m.reading.gyro_bias_deg_h, m.reading.gyro_bias_sd_deg_h);
+            (m.t_s, bias[axis], sd[axis])
+        });
+        Panel {
+            reference: moments.iter().map(|m| (m.t_s, m.true_gyro_bias_deg_h[axis])).collect(),
+            ..estimated(title, "bias (°/h)", found, 1.0)
+        }
     };
     figure(
         width,
@@ -173,6 +181,96 @@ pub fn biases(width: Width, moments: &[Moment]) -> Result<Svg, PlotError> {
             line: "found",
             band: "±1σ",
             reference: "true",
+        },
+    )
+}
+
+/// Heading, pitch and roll of a replay with ±3σ. Heading goes on beyond 0° and 360°.
+///
+/// # Errors
+/// [`PlotError`] where the drawing library fails.
+pub fn attitude(width: Width, moments: &[replay::Moment]) -> Result<Svg, PlotError> {
+    let panel = |title, of: fn(&Angles) -> f64| {
+        let mut before: Option<f64> = None;
+        let angles = moments.iter().map(move |m| {
+            let angle = of(&m.reading.attitude);
+            let near = before.map_or(angle, |before| angle + 360.0 * ((before - angle) / 360.0).round());
+            before = Some(near);
+            (m.t_s, near, of(&m.reading.sd))
+        });
+        estimated(title, "angle (°)", angles, 3.0)
+    };
+    figure(
+        width,
+        &[
+            panel("heading", |a| a.heading_deg),
+            panel("pitch", |a| a.pitch_deg),
+            panel("roll", |a| a.roll_deg),
+        ],
+        &Legend {
+            line: "estimate",
+            band: "±3σ",
+            reference: "",
+        },
+    )
+}
+
+/// Biases that a replay has found, with ±1σ: of the gyros in °/h, of the accelerometers in µg.
+///
+/// # Errors
+/// [`PlotError`] where the drawing library fails.
+pub fn biases_found(width: Width, moments: &[replay::Moment]) -> Result<Svg, PlotError> {
+    let gyro = |title, axis: usize| {
+        let found = moments.iter().map(move |m| {
+            let (bias, sd) = (m.reading.gyro_bias_deg_h, m.reading.gyro_bias_sd_deg_h);
+            (m.t_s, bias[axis], sd[axis])
+        });
+        estimated(title, "bias (°/h)", found, 1.0)
+    };
+    let accel = |title, axis: usize| {
+        let found = moments.iter().map(move |m| {
+            let (bias, sd) = (m.reading.accel_bias_ug, m.reading.accel_bias_sd_ug);
+            (m.t_s, bias[axis], sd[axis])
+        });
+        estimated(title, "bias (µg)", found, 1.0)
+    };
+    figure(
+        width,
+        &[
+            gyro("gyro x", 0),
+            gyro("gyro y", 1),
+            gyro("gyro z", 2),
+            accel("accelerometer x", 0),
+            accel("accelerometer y", 1),
+            accel("accelerometer z", 2),
+        ],
+        &Legend {
+            line: "found",
+            band: "±1σ",
+            reference: "",
+        },
+    )
+}
+
+/// Innovations of a replay over what the filter expects of them.
+///
+/// # Errors
+/// [`PlotError`] where the drawing library fails.
+pub fn innovations(width: Width, moments: &[replay::Moment]) -> Result<Svg, PlotError> {
+    let known = || moments.iter().filter(|m| m.innovation.is_finite());
+    figure(
+        width,
+        &[Panel {
+            title: "innovation²/variance, per component",
+            unit: "ratio",
+            line: known().map(|m| (m.t_s, m.innovation)).collect(),
+            reference: known().map(|m| (m.t_s, m.innovation_ratio)).collect(),
+            band: Vec::new(),
+        }],
+        &Legend {
+            line: "each second",
+            band: "",
+            reference: "running mean",
         },
     )
 }

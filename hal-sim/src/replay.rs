@@ -85,12 +85,32 @@ pub struct Replay {
     pub reason: Option<String>,
 }
 
+/// The estimate at one time of a log.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Moment {
+    /// Time of the log, s.
+    pub t_s: f64,
+    /// What the unit says.
+    pub reading: Reading,
+    /// Rotor angle, degrees.
+    pub rotor_deg: f64,
+    /// innovation²/variance per component of the last measurement; NaN before the first.
+    pub innovation: f64,
+    /// Its running mean: one where the model holds.
+    pub innovation_ratio: f64,
+}
+
+/// Time between two moments, s.
+const MOMENT_S: f64 = 1.0;
+
 /// Receives what a replay meets.
 pub trait Observer {
     /// A row has been read.
     fn row(&mut self, _row: &LogRow) {}
     /// The aligner told something at time `t`, s.
     fn event(&mut self, _t: f64, _event: &Event<f32>) {}
+    /// What the unit says once a second of the log from the first estimate on, and at its end.
+    fn moment(&mut self, _moment: &Moment) {}
     /// The unit that recorded was in this mode from here on.
     fn status(&mut self, _status: &UnitStatus) {}
     /// The log is usable, but.
@@ -223,6 +243,18 @@ fn is_aligned(row: &LogRow) -> bool {
     matches!(row.taken, None | Some(Taken::Aligner | Taken::AlignerAnew))
 }
 
+fn moment<const B: usize>(aligner: &Aligner<f32, B>, t_s: f64, rotor_deg: f64) -> Option<Moment> {
+    let reading = Reading::from_estimate(&aligner.estimate()?);
+    let innovation = aligner.innovation();
+    Some(Moment {
+        t_s,
+        reading,
+        rotor_deg,
+        innovation: innovation.map_or(f64::NAN, |(last, _)| f64::from(last.normalised_squared) / 3.0),
+        innovation_ratio: innovation.map_or(f64::NAN, |(_, ratio)| f64::from(ratio)),
+    })
+}
+
 fn replay_with<const B: usize, R: BufRead>(
     mut log: LogReader<R>,
     told: &dyn Fn(Option<&Header>) -> Setup,
@@ -234,6 +266,7 @@ fn replay_with<const B: usize, R: BufRead>(
     let mut warned = 0;
     let mut t_s = 0.0;
     let mut rejected = None;
+    let (mut next_s, mut rotor_deg) = (f64::NEG_INFINITY, 0.0);
     while let Some(row) = log.next() {
         let row = row?;
         while let Some(status) = log.next_status() {
@@ -272,6 +305,19 @@ fn replay_with<const B: usize, R: BufRead>(
                 rejected = Some(align::describe(&event));
             }
         }
+        rotor_deg = row.encoder / DEG;
+        if t_s >= next_s
+            && let Some(moment) = moment(&aligner, t_s, rotor_deg)
+        {
+            next_s = t_s + MOMENT_S;
+            observer.moment(&moment);
+        }
+    }
+    // The result's, unless it has just been.
+    if t_s > next_s - MOMENT_S
+        && let Some(moment) = moment(&aligner, t_s, rotor_deg)
+    {
+        observer.moment(&moment);
     }
     while let Some(status) = log.next_status() {
         observer.status(&status);

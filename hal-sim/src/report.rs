@@ -8,11 +8,12 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::align::Angles;
+use crate::align::{Angles, Reading, Setup};
 use crate::bound::{self, Bound, BoundConfig, Sigmas};
 use crate::config::Violation;
 use crate::monte_carlo::{self, MethodReport, Spread, Statistics};
 use crate::plot::{self, PlotError};
+use crate::replay::{self, Replay};
 use crate::scenario::Scenario;
 use crate::simulate::{Moment, RunResult};
 use page::{Page, Plot, Tone};
@@ -286,6 +287,173 @@ fn run_rows(last: &Moment, ideal: &Sigmas) -> Vec<Vec<String>> {
         }
     }
     rows
+}
+
+/// Where the report of a replay comes from.
+#[derive(Debug, Clone, Copy)]
+pub struct Replayed<'a> {
+    /// The log's name.
+    pub log: &'a str,
+    /// What the aligner was told at the beginning.
+    pub setup: &'a Setup,
+    /// The command that makes it again.
+    pub command: &'a str,
+}
+
+/// Writes `report.html`, `result.json`, `estimates.csv`, `attitude.svg`, `innovations.svg`, `biases.svg` and `rotor.svg` into
+/// `dir`.
+///
+/// # Errors
+/// [`ReportError`] names the file.
+pub fn replay(
+    dir: &Path,
+    origin: &Replayed<'_>,
+    result: &Replay,
+    moments: &[replay::Moment],
+) -> Result<(), ReportError> {
+    folder(dir)?;
+    json(dir.join("result.json"), result)?;
+    replay_csv(dir.join("estimates.csv"), moments)?;
+    let Setup {
+        latitude_deg,
+        height_m,
+        unit,
+        method,
+        ..
+    } = origin.setup;
+    let place = format!(
+        "At latitude {latitude_deg}°, height {height_m} m, by the filter {}.",
+        method.name()
+    );
+    let mut page = Page::new(&format!("Replay of {}", origin.log), &place);
+    match (result.heading_deg.zip(result.heading_sd_deg), &result.reason) {
+        (Some((heading, sd)), None) => page.verdict(
+            Tone::Good,
+            "Aligned.",
+            &format!(
+                "Heading at {} s: {}°, σ {}°.",
+                result.t_s,
+                fixed(heading, 3),
+                fixed(sd, 3)
+            ),
+        ),
+        (_, reason) => page.verdict(
+            Tone::Bad,
+            "Not aligned:",
+            &format!("{} ({}).", result.state, reason.as_deref().unwrap_or("no estimate")),
+        ),
+    }
+    if let Some(last) = moments.last() {
+        page.section("Result");
+        page.table(
+            &format!("After {} s", fixed(last.t_s, 1)),
+            &["", "estimate", "σ"],
+            &reading_rows(&last.reading),
+        );
+        page.section("Course");
+        let rotor: Vec<_> = moments.iter().map(|m| (m.t_s, m.rotor_deg)).collect();
+        for plot in [
+            drawn(
+                dir,
+                "attitude.svg",
+                "Attitude of the housing over time, once a second.",
+                |width| plot::attitude(width, moments),
+            ),
+            drawn(
+                dir,
+                "innovations.svg",
+                "Innovations against what the filter expects of them: one in the mean where its model holds.",
+                |width| plot::innovations(width, moments),
+            ),
+            drawn(
+                dir,
+                "biases.svg",
+                "Biases in the axes of the sensor. What has not yet been seen has a wide band.",
+                |width| plot::biases_found(width, moments),
+            ),
+            drawn(
+                dir,
+                "rotor.svg",
+                "Rotor angle against the housing, once a second.",
+                |width| plot::rotor(width, &rotor),
+            ),
+        ] {
+            page.plot(&plot?);
+        }
+    }
+    page.section("Made by");
+    page.code(origin.command);
+    page.folded(
+        "The figures of the IMU, a TOML file for --unit",
+        &unit.to_toml().map_err(ReportError::Settings)?,
+    );
+    written(dir, &page)
+}
+
+/// Name, estimate and σ of every figure of a reading.
+fn reading_rows(reading: &Reading) -> Vec<Vec<String>> {
+    let mut rows: Vec<Vec<String>> = Vec::new();
+    for (name, of) in Angles::NAMED {
+        rows.push(vec![
+            name.to_owned(),
+            fixed(of(&reading.attitude), 4),
+            fixed(of(&reading.sd), 4),
+        ]);
+    }
+    for (sensor, unit, found, sd) in [
+        ("gyro", "°/h", reading.gyro_bias_deg_h, reading.gyro_bias_sd_deg_h),
+        ("accel", "µg", reading.accel_bias_ug, reading.accel_bias_sd_ug),
+    ] {
+        for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+            rows.push(vec![
+                format!("{sensor} {name} ({unit})"),
+                fixed(found[axis], 2),
+                fixed(sd[axis], 2),
+            ]);
+        }
+    }
+    rows
+}
+
+/// One row a second of a replay's estimates.
+fn replay_csv(path: PathBuf, moments: &[replay::Moment]) -> Result<(), ReportError> {
+    let write = || -> Result<(), csv::Error> {
+        let mut out = csv::Writer::from_path(&path)?;
+        let axes = |name: &'static str, unit: &'static str| ["x", "y", "z"].map(|axis| format!("{name}_{axis}_{unit}"));
+        let mut header: Vec<String> = [
+            "t_s",
+            "rotor_deg",
+            "heading_deg",
+            "pitch_deg",
+            "roll_deg",
+            "heading_sd_deg",
+            "pitch_sd_deg",
+            "roll_sd_deg",
+        ]
+        .map(str::to_owned)
+        .into();
+        header.extend(axes("gyro_bias", "deg_h"));
+        header.extend(axes("gyro_bias_sd", "deg_h"));
+        header.extend(axes("accel_bias", "ug"));
+        header.extend(axes("accel_bias_sd", "ug"));
+        header.extend(["innovation", "innovation_ratio"].map(str::to_owned));
+        out.write_record(&header)?;
+        for m in moments {
+            let mut row = vec![m.t_s, m.rotor_deg];
+            for angles in [&m.reading.attitude, &m.reading.sd] {
+                row.extend([angles.heading_deg, angles.pitch_deg, angles.roll_deg]);
+            }
+            row.extend(m.reading.gyro_bias_deg_h);
+            row.extend(m.reading.gyro_bias_sd_deg_h);
+            row.extend(m.reading.accel_bias_ug);
+            row.extend(m.reading.accel_bias_sd_ug);
+            row.extend([m.innovation, m.innovation_ratio]);
+            out.write_record(row.iter().map(|x| format!("{x:.6}")))?;
+        }
+        out.flush()?;
+        Ok(())
+    };
+    write().map_err(|e| ReportError::Io(path.clone(), e.into()))
 }
 
 /// Writes `report.html`, `result.json` and a heading histogram for each method into `dir`.

@@ -201,6 +201,122 @@ fn a_gap_is_bridged_and_said() {
 }
 
 /// A log of an IMU as sold by the shortest command: its noise is measured, and no other error is taken for zero.
+/// A log whose IMU hangs upside down and whose encoder counts degrees the other way, piped in, is the log as it was.
+#[test]
+fn a_log_is_read_from_standard_input_in_other_units_and_axes() {
+    let dir = TempDir::new().unwrap();
+    hal_sim(dir.path(), &["run", "--seconds", "60", "--log", "a.csv", "--quiet"]);
+    let piped = |text: &str, arguments: &[&str]| {
+        assert_cmd::Command::cargo_bin("hal-sim")
+            .unwrap()
+            .current_dir(dir.path())
+            .args(arguments)
+            .write_stdin(text)
+            .output()
+            .unwrap()
+    };
+    let log = fs::read_to_string(dir.path().join("a.csv")).unwrap();
+    let (header, rows) = log.split_once('\n').unwrap();
+    let mut turned = format!("% of another program\n{}\n", header.to_uppercase());
+    for row in rows.lines() {
+        let mut figures: Vec<f64> = row.split(',').map(|figure| figure.parse().unwrap()).collect();
+        for place in [2, 3, 5, 6] {
+            figures[place] = -figures[place];
+        }
+        figures[7] = -figures[7].to_degrees();
+        turned += &figures.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+        turned.push('\n');
+    }
+    let expected = json(&hal_sim(
+        dir.path(),
+        &["replay", "a.csv", "--latitude-deg", "40", "--json"],
+    ));
+    let given = ["--mounting", "x,-y,-z", "--encoder-unit", "-deg"];
+    let figures = ["--latitude-deg", "40", "--unit", "a.unit.toml", "--json"];
+    let heading = |output: &Output| number(&json(output), "/heading_deg");
+    let replayed = piped(&turned, &[&["replay", "-"], &given[..], &figures[..]].concat());
+    assert!(
+        (heading(&replayed) - number(&expected, "/heading_deg")).abs() < 1e-3,
+        "{replayed:?}"
+    );
+
+    // Without them, the error names standard input and the options.
+    let refused = error_line(&piped(&turned, &[&["replay", "-"], &figures[..]].concat()));
+    assert!(
+        refused.starts_with("standard input:3: accel_z_m_s2 is -9.") && refused.ends_with("--mounting x,-y,-z"),
+        "{refused}"
+    );
+    let refused = error_line(&piped(&turned, &[&["replay", "-"], &given[..2], &figures[..]].concat()));
+    assert!(refused.contains("--encoder-unit"), "{refused}");
+
+    // The CSV that is made of it needs neither.
+    let converted = piped(&turned, &[&["convert", "-"], &given[..], &["b.csv"]].concat());
+    assert_eq!(converted.status.code(), Some(0), "{converted:?}");
+    let replayed = hal_sim(dir.path(), &[&["replay", "b.csv"], &figures[..]].concat());
+    assert!(
+        (heading(&replayed) - number(&expected, "/heading_deg")).abs() < 1e-3,
+        "{replayed:?}"
+    );
+
+    // The report of a replay: what the result says, one row a second.
+    let replayed = hal_sim(
+        dir.path(),
+        &[&["replay", "a.csv", "--report", "r/a"], &figures[..2]].concat(),
+    );
+    assert!(
+        String::from_utf8_lossy(&replayed.stdout).contains("report: r/a/report.html"),
+        "{replayed:?}"
+    );
+    let file = |name: &str| fs::read_to_string(dir.path().join("r/a").join(name)).unwrap();
+    let heading = number(&expected, "/heading_deg");
+    let page = file("report.html");
+    assert!(
+        page.contains("Replay of a.csv") && page.contains(&format!("<td>{heading:.4}</td>")),
+        "{page}"
+    );
+    assert_eq!(
+        page.matches("<svg ").count(),
+        8,
+        "four plots for a page and for a telephone"
+    );
+    let estimates = file("estimates.csv");
+    let mut lines = estimates.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let header = lines.next().unwrap();
+    let column = |name: &str| header.iter().position(|column| *column == name).unwrap();
+    let rows: Vec<Vec<f64>> = lines
+        .map(|line| line.iter().map(|figure| figure.parse().unwrap()).collect())
+        .collect();
+    assert!((2..=10).contains(&rows.len()), "{}", rows.len());
+    let last = rows.last().unwrap();
+    assert!(
+        (last[column("heading_deg")] - heading).abs() < 1e-5 && last[column("t_s")] > 59.0,
+        "{last:?}"
+    );
+    assert!((0.1..5.0).contains(&last[column("innovation_ratio")]), "{last:?}");
+
+    // Whatever comes of a log with figures beside it has them beside it.
+    hal_sim(dir.path(), &["convert", "a.csv", "c.csv"]);
+    let [figures, passed] =
+        ["a.unit.toml", "c.unit.toml"].map(|name| fs::read_to_string(dir.path().join(name)).unwrap());
+    assert_eq!(passed, figures);
+}
+
+#[test]
+fn figures_of_an_imu_that_are_broken_are_an_error() {
+    let dir = TempDir::new().unwrap();
+    fs::write(
+        dir.path().join("a.csv"),
+        "t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2,encoder_rad\n",
+    )
+    .unwrap();
+    fs::write(dir.path().join("a.unit.toml"), "\ngyro_bias_sd_deg_h = 'much'\n").unwrap();
+    let error = error_line(&hal_sim(dir.path(), &["replay", "a.csv", "--latitude-deg", "40"]));
+    assert_eq!(
+        error,
+        "a.unit.toml:2: gyro_bias_sd_deg_h: found string \"much\", expected a number"
+    );
+}
+
 #[test]
 fn an_imu_that_nobody_described_is_not_the_papers() {
     let dir = TempDir::new().unwrap();

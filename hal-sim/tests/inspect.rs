@@ -130,6 +130,26 @@ const WORDS: [&str; 9] = [
     "starting again, attempt 1",
 ];
 
+/// As PowerShell's `>` writes what a program prints.
+#[test]
+fn a_log_in_utf16_is_the_same_log() {
+    let text = "[   68.382000] INFO  coarse alignment: heading 335.45 deg, sd 2.59 deg\r\n[   71.807000] INFO  aligned\r\n\
+                [   72.039000] INFO  aligned     rotor +104.7 deg, heading 320.13 deg, sd  0.885 deg, pitch  +2.59 deg, \
+                roll  -5.19 deg\r\n";
+    let expected = report::table(&of_bytes(text.as_bytes(), None).unwrap());
+    assert!(expected.contains("320.13"), "{expected}");
+    let little: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let big: Vec<u8> = text.encode_utf16().flat_map(u16::to_be_bytes).collect();
+    for wide in [
+        [b"\xff\xfe", &little[..]].concat(),
+        [b"\xfe\xff", &big[..]].concat(),
+        little,
+        big,
+    ] {
+        assert_eq!(report::table(&of_bytes(&wide, None).unwrap()), expected);
+    }
+}
+
 #[test]
 fn the_words_are_those_of_the_unit() {
     use ModeName::{Aligned, Coarse, Fine, Homing, Idle, SelfTest};

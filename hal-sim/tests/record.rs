@@ -27,6 +27,7 @@ use hal_sim::log::{Header, LogError, LogReader, LogRow, LogWriter, Loss, Lost, P
 use hal_sim::replay::{self, Observer, Replay};
 use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
 use hal_sim::simulate::Simulation;
+use hal_sim::unit;
 use hal_sim::unit_sim;
 use nav::aligner::{Aligner, Event};
 use nav::deviation::Deviation;
@@ -940,6 +941,20 @@ fn the_example_of_the_manual() {
     assert_eq!((rows.len(), loss.count(Lost::Bytes)), (2, 0));
 }
 
+/// Terminals that save what they show, each byte as a character.
+#[test]
+fn a_recording_that_was_saved_as_text_is_named() {
+    let message = |text: &str| LogReader::new(text.as_bytes(), "u.txt").unwrap_err().to_string();
+    let latin: String = recording().iter().copied().map(char::from).collect();
+    let told = message(&latin);
+    assert!(
+        told.starts_with("u.txt: the recording was saved as text in UTF-8") && told.contains("iconv"),
+        "{told}"
+    );
+    let lossy = message(&String::from_utf8_lossy(recording()));
+    assert!(lossy.contains("are lost: record again"), "{lossy}");
+}
+
 /// The commands that read logs read recordings as well.
 #[test]
 fn commands_read_recordings() {
@@ -958,6 +973,15 @@ fn commands_read_recordings() {
 
     let output = hal_sim(dir.path(), &["convert", "u.bin", "u.csv"]);
     assert_eq!(output.status.code(), Some(0), "{output:?}");
+    // With the figures of the IMU that the unit was told.
+    let figures = unit::Unit::load(&dir.path().join("u.unit.toml")).unwrap();
+    assert_eq!(
+        figures,
+        unit::Unit::of_noise(&LogReader::new(recording(), "u.bin").unwrap().header().unwrap().noise)
+    );
+    let output = hal_sim(dir.path(), &["replay", "u.bin", "--format", "psins"]);
+    assert_eq!(output.status.code(), Some(2), "{output:?}");
+    assert!(String::from_utf8(output.stderr).unwrap().contains("leave out --format"));
     let output = hal_sim(dir.path(), &["replay", "u.csv"]);
     assert_eq!(output.status.code(), Some(2), "{output:?}");
     assert!(String::from_utf8(output.stderr).unwrap().contains("add --latitude-deg"));

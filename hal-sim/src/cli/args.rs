@@ -6,6 +6,7 @@ use clap::{Args, Parser, Subcommand};
 use hal_sim::align::Method;
 use hal_sim::bound::BoundConfig;
 use hal_sim::link::{self, serve::Place};
+use hal_sim::log::format::{EncoderUnit, Mounting};
 use hal_sim::observability::Axis;
 use hal_sim::unit_sim::Typed;
 
@@ -58,12 +59,7 @@ pub(super) enum Command {
     Calibrate(CalibrateArgs),
     /// Write a log, also the recording of a unit's serial line, as CSV
     #[command(after_help = help::CONVERT)]
-    Convert {
-        /// Log to read
-        log: PathBuf,
-        /// CSV to write
-        csv: PathBuf,
-    },
+    Convert(ConvertArgs),
     /// Turn the log of an IMU at rest as a rotor would: what the method would make of a part that has none
     #[command(after_help = help::TURN)]
     Turn(TurnArgs),
@@ -168,11 +164,40 @@ pub(super) struct BoundArgs {
     pub(super) json: bool,
 }
 
+/// Which log, and what its columns are.
+#[derive(Args)]
+pub(super) struct LogArgs {
+    /// CSV log: t_s, gyro_x/y/z_rad_s, accel_x/y/z_m_s2, encoder_rad by header, in any order; or the recording of a
+    /// unit's serial line; `-` is standard input
+    pub(super) log: PathBuf,
+    /// What the columns of another program's text are: ros-imu, ros-imu-bag, ros2-imu, ros2-imu-bag, xsens-mt, vectornav-imu,
+    /// vectornav-dtv, kvh-1750, psins, kitti-oxts, or a TOML file (docs/log.md)
+    #[arg(long, value_name = "NAME|FILE")]
+    pub(super) format: Option<String>,
+    /// How the IMU sits on the rotor: which of its axes are x, y and z of the rotor (right, front, up), y,x,-z; or three
+    /// angles about x, y, z, degrees: 180,0,90
+    #[arg(long, value_name = "AXES", allow_hyphen_values = true)]
+    pub(super) mounting: Option<Mounting>,
+    /// Unit of the encoder: rad, mrad, deg, arcmin, turns, or counts as 16384/turn; -deg where it is reversed
+    #[arg(long, value_name = "UNIT", allow_hyphen_values = true)]
+    pub(super) encoder_unit: Option<EncoderUnit>,
+    /// Rows a second, Hz, where no column has the time
+    #[arg(long, value_name = "HZ", value_parser = positive)]
+    pub(super) rate_hz: Option<f64>,
+}
+
+#[derive(Args)]
+pub(super) struct ConvertArgs {
+    #[command(flatten)]
+    pub(super) input: LogArgs,
+    /// CSV to write
+    pub(super) csv: PathBuf,
+}
+
 #[derive(Args)]
 pub(super) struct ReplayArgs {
-    /// CSV log: t_s, gyro_x/y/z_rad_s, accel_x/y/z_m_s2, encoder_rad by header, in any order; or the recording of a
-    /// unit's serial line
-    pub(super) log: PathBuf,
+    #[command(flatten)]
+    pub(super) input: LogArgs,
     /// Geodetic latitude of the place, degrees, north positive (default: the unit's, which a recording holds)
     #[arg(long, value_name = "L", allow_negative_numbers = true)]
     pub(super) latitude_deg: Option<f64>,
@@ -188,6 +213,9 @@ pub(super) struct ReplayArgs {
     pub(super) method: Method,
     #[command(flatten)]
     pub(super) base: Base,
+    /// Write a page about it into this folder: attitude, innovations and biases over time
+    #[arg(long, value_name = "DIR")]
+    pub(super) report: Option<PathBuf>,
     /// Print the result as JSON
     #[arg(long)]
     pub(super) json: bool,
@@ -294,8 +322,8 @@ pub(super) struct ObservabilityArgs {
 
 #[derive(Args)]
 pub(super) struct AllanArgs {
-    /// CSV log of some hours at rest, as for `replay`
-    pub(super) log: PathBuf,
+    #[command(flatten)]
+    pub(super) input: LogArgs,
     /// Write the figures as a UNIT.toml for `replay`
     #[arg(long, value_name = "UNIT.toml")]
     pub(super) unit: Option<PathBuf>,
@@ -309,8 +337,8 @@ pub(super) struct AllanArgs {
 
 #[derive(Args)]
 pub(super) struct CalibrateArgs {
-    /// CSV log of a minute at rest and a minute turning, as for `replay`
-    pub(super) log: PathBuf,
+    #[command(flatten)]
+    pub(super) input: LogArgs,
     /// The IMU: a part or a file with its figures, as for `replay` (default: that of the main paper, Table 2)
     #[arg(long, value_name = "PART|FILE")]
     pub(super) unit: Option<String>,
@@ -333,8 +361,8 @@ pub(super) struct CalibrateArgs {
 
 #[derive(Args)]
 pub(super) struct TurnArgs {
-    /// CSV log of an IMU at rest, as for `replay`
-    pub(super) log: PathBuf,
+    #[command(flatten)]
+    pub(super) input: LogArgs,
     /// Rate of the rotor, °/s
     #[arg(long, value_name = "DPS", default_value_t = 20.0, value_parser = positive)]
     pub(super) rate: f64,
@@ -426,6 +454,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory as _;
+    use hal_sim::log::format::FORMATS;
 
     use super::*;
 
@@ -466,6 +495,26 @@ mod tests {
             .filter(|line| line.starts_with("  hal-sim") && !line.contains("COMMAND"))
         {
             assert!(Cli::try_parse_from(words_of(line.trim_start())).is_ok(), "{line}");
+        }
+    }
+
+    #[test]
+    fn every_built_in_format_is_in_the_help() {
+        for command in ["replay", "convert", "allan", "calibrate", "turn"] {
+            let cli = Cli::command();
+            let arguments = cli.find_subcommand(command).expect(command).get_arguments();
+            let format = arguments.filter(|option| option.get_id() == "format");
+            let help: String = format
+                .filter_map(|option| option.get_help())
+                .map(ToString::to_string)
+                .collect();
+            for builtin in FORMATS {
+                assert!(
+                    help.contains(&format!("{}, ", builtin.name)),
+                    "{command}: {} in {help}",
+                    builtin.name
+                );
+            }
         }
     }
 

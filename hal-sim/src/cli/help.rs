@@ -40,12 +40,14 @@ Examples:
   hal-sim bound --seconds 3600 --velocity-sd 0.001";
 
 pub(super) const REPLAY: &str = "\
-Prints what happens, then heading, pitch and roll (°) with σ, and the biases found. Writes no file. A log that cannot
-be true is refused, with the likely cause: unit, sign, encoder. Exit code 0 where the log's end finds it aligned.
+Prints what happens, then heading, pitch and roll (°) with σ, and the biases found. Writes no file but with --report: a page,
+and estimates.csv (once a second). A log that cannot be true is refused, with the likely cause: unit, sign, encoder. Exit code 0
+where the log's end finds it aligned.
 
 Examples:
   hal-sim replay LOG.csv --latitude-deg 40
   hal-sim replay LOG.csv --latitude-deg 40 --unit UNIT.toml --json
+  hal-sim replay LOG.csv --latitude-deg 40 --encoder-unit -deg --report report/LOG
   hal-sim replay LOG.bin                      a recording by `link --record`: it says itself where it stands";
 
 pub(super) const UNIT: &str = "\
@@ -100,7 +102,9 @@ pub(super) const CONVERT: &str = "\
 Writes the CSV and says how many rows it has.
 
 Examples:
-  hal-sim convert LOG.bin LOG.csv";
+  hal-sim convert LOG.bin LOG.csv
+  hal-sim convert imu.csv LOG.csv --format ros-imu
+  hal-sim convert - LOG.csv --format kitti-oxts --rate-hz 100";
 
 pub(super) const TURN: &str = "\
 Writes the CSV and says how many rows it has. A bias of the log cannot be told from Earth's rate: it is turned as well, and

@@ -37,6 +37,8 @@ use defmt::{Elf, Frames};
 pub use timeline::Source;
 use timeline::{News, Timeline};
 
+use crate::log::is_utf16;
+
 /// No line of text is as long, bytes: what is longer is cut.
 const LONGEST_LINE: usize = 16 * 1024;
 /// A first line that is shorter proves nothing about the rest.
@@ -262,13 +264,25 @@ fn take(timeline: &mut Timeline, line: &mut Vec<u8>, each: &mut dyn FnMut(&Timel
     line.clear();
 }
 
-/// Reads a whole log.
+/// Text in UTF-16, by its mark or little-endian without one, as UTF-8.
+fn of_utf16(bytes: &[u8]) -> String {
+    let big = bytes.starts_with(b"\xfe\xff") || (bytes.first() == Some(&0) && !bytes.starts_with(b"\xff\xfe"));
+    let unit = if big { u16::from_be_bytes } else { u16::from_le_bytes };
+    let units: Vec<u16> = bytes.chunks_exact(2).map(|pair| unit([pair[0], pair[1]])).collect();
+    String::from_utf16_lossy(units.strip_prefix(&[0xFEFF]).unwrap_or(&units))
+}
+
+/// Reads a whole log, also one in UTF-16, as PowerShell's `>` writes it.
 ///
 /// # Errors
 /// [`InspectError`] where it cannot be read, or is no log of the unit.
 pub fn of_bytes(bytes: &[u8], elf: Option<Elf>) -> Result<Timeline, InspectError> {
     let mut reader = Reader::new(elf);
-    reader.push(bytes, &mut |_, _| {})?;
+    if is_utf16(bytes) {
+        reader.push(of_utf16(bytes).as_bytes(), &mut |_, _| {})?;
+    } else {
+        reader.push(bytes, &mut |_, _| {})?;
+    }
     reader.finish(&mut |_, _| {})
 }
 

@@ -248,6 +248,11 @@ pub(super) fn is_recording(start: &[u8]) -> bool {
     (0..start.len()).any(|at| matches!(look(&start[at..]), Found::Frame(_) | Found::Sentence(_)))
 }
 
+/// Whether there is a frame in the start of a file.
+pub(super) fn has_frame(start: &[u8]) -> bool {
+    (0..start.len()).any(|at| matches!(look(&start[at..]), Found::Frame(_)))
+}
+
 /// Finds frames.
 #[derive(Debug)]
 struct Scanner<R> {

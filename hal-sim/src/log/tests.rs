@@ -581,12 +581,12 @@ fn units_of_the_accelerometers() {
     assert_eq!(
         scaled(1.0 / 9.80665).unwrap_err(),
         "l.csv:2: the accelerometers read 0.999 on average where gravity is 9.8 m/s²: they look like g, multiply by \
-         9.80665"
+         9.80665 or name the unit in a --format"
     );
     assert_eq!(
         scaled(1000.0 / 9.80665).unwrap_err(),
         "l.csv:2: the accelerometers read 999.474 on average where gravity is 9.8 m/s²: they look like mg, multiply \
-         by 0.00980665"
+         by 0.00980665 or name the unit in a --format"
     );
     assert!(scaled(100.0).unwrap_err().contains("look like cm/s², multiply by 0.01"));
     assert!(
@@ -621,20 +621,20 @@ fn units_and_signs_of_gyro_and_encoder() {
         let gyro = with(1.0 / DEG, 1.0).unwrap_err();
         assert!(
             gyro.starts_with("l.csv:2: gyro_z_rad_s is 5")
-                && gyro.ends_with(" times the encoder's rate: the gyros look like °/s, multiply by 0.0174533"),
+                && gyro.ends_with(" times the encoder's rate: the gyros look like °/s, multiply by 0.0174533 or name the unit in a --format"),
             "{gyro}"
         );
         let encoder = with(1.0, 1.0 / DEG).unwrap_err();
         assert!(
             encoder.starts_with("l.csv:2: encoder_rad turns at 19.")
-                && encoder.ends_with(" a second: it looks like degrees, multiply by 0.0174533"),
+                && encoder.ends_with(" a second: it looks like degrees, --encoder-unit deg"),
             "{encoder}"
         );
         assert_eq!(with(1.0 / DEG, 1.0 / DEG).unwrap_err(), encoder);
         assert_eq!(
             with(1.0, -1.0).unwrap_err(),
             "l.csv:2: gyro_z_rad_s and encoder_rad turn in opposite directions: both are positive counter-clockwise \
-             from above, change the sign of the wrong one"
+             from above, change the sign of the wrong one; a minus in --encoder-unit is that of the encoder"
         );
     }
 }
@@ -664,7 +664,7 @@ fn other_units_of_gyro_and_encoder() {
             "{told}"
         );
     }
-    let turns = "encoder_rad looks like turns, multiply by 6.283185";
+    let turns = "encoder_rad looks like turns, --encoder-unit turns";
     assert!(with(1.0, &|alpha| alpha / TAU).contains(turns));
     assert!(with(1.0, &|alpha| (alpha / TAU).rem_euclid(1.0)).contains(turns));
     assert!(with(1.0, &|alpha| -alpha / TAU).contains("one of them is reversed"));
@@ -682,14 +682,15 @@ fn other_units_of_gyro_and_encoder() {
         });
         assert!(
             told.contains(&format!(
-                "encoder_rad looks like counts, 2^{bits} a turn, multiply by 6.283185/"
+                "encoder_rad looks like counts, 2^{bits} a turn, --encoder-unit {}/turn",
+                bits.exp2()
             )),
             "{told}"
         );
     }
     let told = with(1.0, &|alpha| (alpha / TAU * 36_000.0).round());
     assert!(
-        told.contains("multiply by 6.283185 over the counts of a turn"),
+        told.contains("a turn: say how many, as --encoder-unit 16384/turn"),
         "{told}"
     );
 }

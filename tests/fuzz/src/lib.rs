@@ -24,7 +24,7 @@ pub use feed::Feed;
 pub type Target = fn(&[u8]);
 
 /// All of them by name, which is that of the program and of the folder in `corpus`.
-pub const TARGETS: [(&str, Target); 14] = [
+pub const TARGETS: [(&str, Target); 15] = [
     ("adis16495_burst", drivers::adis16495_burst),
     ("adis16495_bus", drivers::adis16495_bus),
     ("console_bytes", console::bytes),
@@ -32,6 +32,7 @@ pub const TARGETS: [(&str, Target); 14] = [
     ("icm42688_bus", drivers::icm42688_bus),
     ("icm42688_data", drivers::icm42688_data),
     ("log_csv", logs::csv),
+    ("log_format", logs::format),
     ("log_record", logs::record),
     ("mt6835_angle", drivers::mt6835_angle),
     ("mt6835_bus", drivers::mt6835_bus),

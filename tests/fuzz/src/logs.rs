@@ -7,7 +7,7 @@ use app::record::{self, Header, Recorder, SYNC, Taken};
 use app::sample::TimedSample;
 use drivers::{Channels, Identity, Scale};
 use frames::Vec3;
-use hal_sim::log::{Checker, LogReader, LogRow, LogWriter};
+use hal_sim::log::{Checker, Format, LogReader, LogRow, LogWriter};
 use nav::increment::Sample;
 use nav::noise::ImuNoise;
 use nav::rotor::RotorConfig;
@@ -16,9 +16,9 @@ use crate::{Feed, crc32};
 
 /// Reads to the end, and judges what there is: the rows, whether the end is that of the log, and whether nothing of it was
 /// doubtful.
-fn read(bytes: &[u8]) -> (Vec<LogRow>, bool, bool) {
+fn read(bytes: &[u8], format: &Format) -> (Vec<LogRow>, bool, bool) {
     let mut rows = Vec::new();
-    let mut reader = match LogReader::new(bytes, "fuzz.log") {
+    let mut reader = match LogReader::with_format(bytes, "fuzz.log", format) {
         Ok(reader) => reader,
         Err(error) => {
             one_line(&error.to_string());
@@ -82,7 +82,7 @@ fn check(row: &LogRow, before: Option<&LogRow>) {
 
 /// A file of text, as it is. What is read to its end, as it was stamped, can be written and read again.
 pub fn csv(data: &[u8]) {
-    let (rows, whole, clean) = read(data);
+    let (rows, whole, clean) = read(data, &Format::default());
     if !(whole && clean) || rows.is_empty() {
         return;
     }
@@ -94,7 +94,7 @@ pub fn csv(data: &[u8]) {
             .unwrap();
     }
     let text = writer.finish().unwrap();
-    let (again, ..) = read(&text);
+    let (again, ..) = read(&text, &Format::default());
     if rows.len() == 1 || data.contains(&SYNC) {
         // A recording may have one row, or a time that two have.
         return;
@@ -110,6 +110,22 @@ pub fn csv(data: &[u8]) {
     }
 }
 
+/// A format as TOML, a line `---`, and a log that is read by it.
+pub fn format(data: &[u8]) {
+    let Some(at) = data.windows(5).position(|bytes| bytes == b"\n---\n") else {
+        return;
+    };
+    let Ok(toml) = core::str::from_utf8(&data[..at]) else {
+        return;
+    };
+    match Format::parse(toml, "fuzz.toml") {
+        Ok(format) => {
+            read(&data[at + 5..], &format);
+        }
+        Err(error) => one_line(&error.to_string()),
+    }
+}
+
 /// What a recording unit's line carries: sound frames of anything, samples, sentences, noise. Where nothing but headers
 /// and samples was laid on it, every sample that can be is a row, its increments to the bit.
 pub fn record(data: &[u8]) {
@@ -118,7 +134,7 @@ pub fn record(data: &[u8]) {
     while !feed.is_empty() && line.bytes.len() < 1 << 15 {
         line.lay(&mut feed);
     }
-    let (rows, whole, _) = read(&line.bytes);
+    let (rows, whole, _) = read(&line.bytes, &Format::default());
     if line.plain && !line.samples.is_empty() {
         assert!(whole);
         assert_eq!(rows.len(), line.samples.len());

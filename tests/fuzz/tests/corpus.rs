@@ -10,6 +10,7 @@ use drivers::mt6835::{self, AngleCounts, Reading, Warnings};
 use frames::Vec3;
 use fuzz::TARGETS;
 use hal_sim::log::LogWriter;
+use hal_sim::log::format::FORMATS;
 use hal_sim::scenario::Scenario;
 use hal_sim::unit::Unit;
 
@@ -147,6 +148,25 @@ fn seeds() -> Vec<Seed> {
 
     seed("log_csv", "turning", log(4));
     seed("log_csv", "sentence", b"$GPHDT,10.0,T*03\r\n".to_vec());
+    let sentence = |body: &str| {
+        let sum = body.bytes().fold(0, |sum, byte| sum ^ byte);
+        format!("${body}*{sum:02X}\n")
+    };
+    let imu = sentence("VNIMU,0,0,0,0.1,0.2,-9.8,0.01,0.02,-0.35,20.7,101.3").repeat(3);
+    let vectornav = format!("base = 'vectornav-imu'\n[time]\nrate_hz = 100\n---\n{imu}");
+    seed("log_format", "vectornav", vectornav.into_bytes());
+    let counts = "mounting = 'y,x,-z'\n[time]\ncolumn = 'n'\nunit = 'samples'\nrate_hz = 100\nwrap = 16\n[gyro]\n\
+                  columns = ['a', 2, 3]\nunit = 'deg'\nscale = -0.5\n[accel]\ncolumns = [4, 5, 6]\nunit = 'mg'\n[encoder]\n\
+                  column = 'e'\nunit = '-4096/turn'\n---\na;b;c;d;f;g;n;e\n1,5;2;3;4;5;6;14;0\n1;2;3;4;5;6;15;1\n\
+                  1;2;3;4;5;6;0;2\n";
+    seed("log_format", "counts", counts.into());
+    seed(
+        "log_format",
+        "clock",
+        b"time = { column = 7, unit = 'clock' }\ngyro = { columns = [1, 2, 3] }\naccel = { columns = [4, 5, 6], unit = 'm/s' }\n\
+          ---\n% x\n1 2 3 4 5 6 23:59:59.99\n1 2 3 4 5 6 00:00:00,00\n"
+            .to_vec(),
+    );
     // A header, samples, a gap, a status, a sentence, a damaged byte, a restart.
     let header = [&[0x32, b'0', b'.', b'1'], &[0; 46][..]].concat();
     let turning = [&[0], &[1; 15][..]].concat();
@@ -172,7 +192,7 @@ fn seeds() -> Vec<Seed> {
 }
 
 /// The words that libFuzzer is to try: commands, settings, keys, columns.
-fn words() -> [(&'static str, Vec<String>); 4] {
+fn words() -> [(&'static str, Vec<String>); 5] {
     let console = WORDS
         .iter()
         .map(|word| word.name)
@@ -198,6 +218,30 @@ fn words() -> [(&'static str, Vec<String>); 4] {
         ("console_line", console.map(str::to_owned).collect()),
         ("scenario_toml", keys(scenarios.join("\n"))),
         ("unit_toml", keys(toml::to_string(&Unit::default()).unwrap())),
+        (
+            "log_format",
+            keys(FORMATS.map(|format| format.text).join("\n"))
+                .into_iter()
+                .chain(FORMATS.map(|format| format.name.to_owned()))
+                .chain(
+                    [
+                        "base",
+                        "encoder",
+                        "scale",
+                        "offset_deg",
+                        "clock",
+                        "samples",
+                        "/turn",
+                        "---",
+                        "%",
+                        "//",
+                        "us",
+                        "mdps",
+                    ]
+                    .map(str::to_owned),
+                )
+                .collect(),
+        ),
         (
             "log_csv",
             hal_sim::log::COLUMNS
