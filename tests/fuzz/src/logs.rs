@@ -334,6 +334,7 @@ fn header<'a>(feed: &mut Feed<'_>, firmware: &'a str) -> Header<'a> {
             gyro_bias_sd: c,
             ..ImuNoise::default()
         },
+        deviation: None,
         firmware,
     }
 }

@@ -4,6 +4,7 @@ use app::nmea::Talker;
 use app::settings::{Group, NAME, Settings, Store};
 use embassy_futures::block_on;
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use nav::deviation::Deviation;
 
 use crate::{Feed, crc32};
 
@@ -162,6 +163,13 @@ fn changed(settings: &Settings, group: Group, by: u8) -> Settings {
         Group::Thermal => new.thermal.used = 0,
         Group::Encoder => new.encoder.zero = step,
         Group::Noise => new.noise.velocity_random_walk = step / 16.0,
+        Group::Deviation => {
+            new.deviation = Some(Deviation {
+                rate_b: [step / 16.0; 2],
+                force_b: [step; 2],
+                sd: 1e-6,
+            });
+        }
     }
     new
 }
