@@ -216,7 +216,48 @@ impl<'de> Deserialize<'de> for Angle {
 }
 
 /// Writes a table: its struct, `Default`, TOML reading that refuses unknown keys, and range checks.
+///
+/// `pub struct NAME, keys left out by KEY: TYPE` adds a key that is not a field: it says what keys left out are, in place
+/// of their defaults. `NAME` is `From<TYPE>`.
 macro_rules! table {
+    (
+        $(#[$doc:meta])*
+        pub struct $name:ident, keys left out by $base:ident : $base_type:ty {
+            numbers {
+                $( $(#[$number_doc:meta])* $number:ident : $number_type:ty = $default:expr, [$low:literal, $high:literal]; )*
+            }
+            tables {}
+        }
+    ) => {
+        $crate::config::table! {
+            @common
+            $(#[$doc])*
+            pub struct $name {
+                numbers { $( $(#[$number_doc])* $number : $number_type = $default, [$low, $high]; )* }
+                tables {}
+            }
+        }
+
+        impl<'de> serde::Deserialize<'de> for $name {
+            fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                #[derive(serde::Deserialize)]
+                #[serde(default, deny_unknown_fields)]
+                struct Keys {
+                    $base: Option<$base_type>,
+                    $( $number: Option<$number_type>, )*
+                }
+                impl Default for Keys {
+                    fn default() -> Self {
+                        Self { $base: None, $( $number: None, )* }
+                    }
+                }
+                let keys = Keys::deserialize(deserializer)?;
+                let mut table = keys.$base.map_or_else(Self::default, Self::from);
+                $( if let Some(value) = keys.$number { table.$number = value; } )*
+                Ok(table)
+            }
+        }
+    };
     (
         $(#[$doc:meta])*
         pub struct $name:ident {
@@ -228,9 +269,31 @@ macro_rules! table {
             }
         }
     ) => {
+        $crate::config::table! {
+            @common
+            #[derive(serde::Deserialize)]
+            #[serde(default, deny_unknown_fields)]
+            $(#[$doc])*
+            pub struct $name {
+                numbers { $( $(#[$number_doc])* $number : $number_type = $default, [$low, $high]; )* }
+                tables { $( $(#[$table_doc])* $table : $table_type; )* }
+            }
+        }
+    };
+    (
+        @common
+        $(#[$doc:meta])*
+        pub struct $name:ident {
+            numbers {
+                $( $(#[$number_doc:meta])* $number:ident : $number_type:ty = $default:expr, [$low:literal, $high:literal]; )*
+            }
+            tables {
+                $( $(#[$table_doc:meta])* $table:ident : $table_type:ty; )*
+            }
+        }
+    ) => {
         $(#[$doc])*
-        #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-        #[serde(default, deny_unknown_fields)]
+        #[derive(Debug, Clone, PartialEq, serde::Serialize)]
         pub struct $name {
             $(
                 $(#[$number_doc])*

@@ -364,7 +364,7 @@ pub struct Scenario {
     pub rotor: Rotor,
     /// The figures of the IMU, as in a `UNIT.toml`: gyros measure `(I + M) ω + G f + b + C_b^s h`, accelerometers
     /// `(I + A) f + b`, each term drawn with its 1σ. Without this table the IMU is perfect; with it, even
-    /// empty, keys left out are the paper's.
+    /// empty, keys left out are the paper's, or those of a part: `part = "adis16495-1"`.
     pub imu: Unit,
     /// The figures that the unit's filter is configured with, where they are not those of `[imu]`: a data sheet that is
     /// wrong about its part.
@@ -624,6 +624,21 @@ mod tests {
         assert_eq!(scenario.imu, Unit::perfect());
         assert_eq!(scenario.swing, Swing::default());
         assert_eq!(Scenario::parse("[imu]\n", "s.toml").unwrap().imu, Unit::default());
+    }
+
+    #[test]
+    fn imu_and_told_take_a_part_by_name() {
+        let text = "[imu]\npart = \"icm42688\"\ngyro_bias_sd_deg_h = 0\n[told]\npart = \"tactical\"\n";
+        let scenario = Scenario::parse(text, "s.toml").unwrap();
+        let icm = Unit::find("icm42688").unwrap();
+        assert_eq!(scenario.imu.gyro_bias_sd_deg_h, 0.0);
+        assert_eq!(scenario.imu.accel_bias_sd_ug, icm.accel_bias_sd_ug);
+        assert_eq!(scenario.told, Some(Unit::find("tactical").unwrap()));
+        let wrong = message("[imu]\npart = \"icm\"");
+        assert!(
+            wrong.starts_with("s.toml:2: imu.part: no part has the name \"icm\"; there are adis16495-1, "),
+            "{wrong}"
+        );
     }
 
     #[test]

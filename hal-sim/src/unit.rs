@@ -8,14 +8,17 @@ use std::path::{Path, PathBuf};
 use app::parts::{self, Part};
 use frames::units::{ARC_MIN, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM, STANDARD_GRAVITY};
 use nav::noise::ImuNoise;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer};
 
 use crate::config::{self, ConfigError, ConfigProblem, Table, table};
 
 table! {
     /// Noise and bias figures of an IMU, every axis alike.
     ///
-    /// The default is the paper's IMU, \[Xing18\] Table 2: 10 °/h, 0.02 °/√h, 100 µg, 10 µg/√Hz.
-    pub struct Unit {
+    /// The default is the paper's IMU, \[Xing18\] Table 2: 10 °/h, 0.02 °/√h, 100 µg, 10 µg/√Hz. With `part = "NAME"`
+    /// keys left out are those of that part, see [`app::parts`].
+    pub struct Unit, keys left out by part: NamedPart {
         numbers {
             /// Turn-on bias of the gyros, 1σ, °/h.
             gyro_bias_sd_deg_h: f64 = 10.0, [0.0, 100000.0];
@@ -50,8 +53,31 @@ table! {
     }
 }
 
+/// A part by its name in a file.
+struct NamedPart(&'static Part);
+
+impl<'de> Deserialize<'de> for NamedPart {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        parts::find(&name)
+            .map(Self)
+            .ok_or_else(|| D::Error::custom(format!("no part has the name \"{name}\"; there are {}", names())))
+    }
+}
+
+impl From<NamedPart> for Unit {
+    fn from(NamedPart(part): NamedPart) -> Self {
+        Self::of_part(part)
+    }
+}
+
+/// The names of the parts.
+fn names() -> String {
+    parts::PARTS.map(|part| part.name).join(", ")
+}
+
 impl Unit {
-    /// Reads a `UNIT.toml`. Keys left out have the paper's figures.
+    /// Reads a `UNIT.toml`. Keys left out have the paper's figures, or those of the `part` it names.
     ///
     /// # Errors
     /// [`ConfigError`]: one line with file, line and key.
@@ -77,10 +103,7 @@ impl Unit {
         }
         Self::load(Path::new(name_or_file)).map_err(|error| match error.problem {
             ConfigProblem::Read(why) => ConfigError {
-                problem: ConfigProblem::UnknownPart {
-                    why,
-                    names: parts::PARTS.map(|part| part.name).join(", "),
-                },
+                problem: ConfigProblem::UnknownPart { why, names: names() },
                 ..error
             },
             _ => error,
@@ -195,6 +218,29 @@ mod tests {
     }
 
     #[test]
+    fn a_part_gives_what_is_left_out_and_keys_beside_it_go_before() {
+        for part in &parts::PARTS {
+            let text = format!("part = \"{}\"", part.name);
+            assert_eq!(Unit::parse(&text, "u.toml").unwrap(), Unit::of_part(part));
+        }
+        let adis = Unit::find("adis16495-1").unwrap();
+        let read = Unit::parse("accel_bias_sd_ug = 7\npart = \"adis16495-1\"\n", "u.toml").unwrap();
+        let expected = Unit {
+            accel_bias_sd_ug: 7.0,
+            ..adis
+        };
+        assert_eq!(read, expected);
+        assert_eq!(
+            Unit::parse("\npart = \"adis\"", "u.toml").unwrap_err().to_string(),
+            format!("u.toml:2: part: no part has the name \"adis\"; there are {}", names())
+        );
+        assert_eq!(
+            Unit::parse("part = 3", "u.toml").unwrap_err().to_string(),
+            "u.toml:1: part: found integer `3`, expected a string"
+        );
+    }
+
+    #[test]
     fn errors_name_file_line_and_key() {
         let message = |text: &str| Unit::parse(text, "u.toml").unwrap_err().to_string();
         assert_eq!(
@@ -209,11 +255,9 @@ mod tests {
             message("# a\n# b\naccel_bias_sd_ug = \"much\""),
             "u.toml:3: accel_bias_sd_ug: found string \"much\", expected a number"
         );
-        assert!(
-            message("gyro_bias = 3").starts_with(
-                "u.toml:1: gyro_bias: unknown key; known here: `gyro_bias_sd_deg_h`, `accel_bias_sd_ug`, "
-            )
-        );
+        assert!(message("gyro_bias = 3").starts_with(
+            "u.toml:1: gyro_bias: unknown key; known here: `part`, `gyro_bias_sd_deg_h`, `accel_bias_sd_ug`, "
+        ));
         assert!(message("gyro_bias_sd_deg_h = ").starts_with("u.toml:1: not valid TOML: "));
         let missing = Unit::load(Path::new("/nonexistent/u.toml")).unwrap_err().to_string();
         assert!(missing.starts_with("/nonexistent/u.toml: cannot read: "), "{missing}");
