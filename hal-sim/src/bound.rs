@@ -100,6 +100,10 @@ const STEPS_PER_SECOND: f64 = 20.0;
 /// Greatest turn of the IMU in a step, rad.
 const TURN_PER_STEP: f64 = 0.05;
 
+/// Of an irregular angle, 4σ of its rate over the significant amplitude, 2σ, times the peak's ω: twice the root of the
+/// spectrum's second moment, which is 1.32 or less ([`sea`](crate::sea)).
+const SEA_RATE: f64 = 2.64;
+
 /// Where φ, δV and ε stand; what follows depends on the scenario.
 const PHI: usize = 0;
 const DV: usize = 3;
@@ -250,11 +254,15 @@ fn is_row(t: f64) -> bool {
 
 /// As many as keep the turn in a step small, at the fastest that rotor and swing together can turn.
 fn steps_per_second(scenario: &Scenario) -> f64 {
-    let swing = &scenario.swing;
+    let (swing, sea) = (&scenario.swing, &scenario.sea);
     let fastest = [&swing.heading, &swing.pitch, &swing.roll]
         .into_iter()
         .map(|axis| axis.amplitude_deg * core::f64::consts::TAU / axis.period_s)
         .sum::<f64>()
+        + [&sea.heading, &sea.pitch, &sea.roll]
+            .into_iter()
+            .map(|sea| SEA_RATE * sea.significant_deg * core::f64::consts::TAU / sea.peak_period_s)
+            .sum::<f64>()
         + scenario.rotor.rate_dps * (1.0 + scenario.rotor.ripple_fraction);
     (fastest * DEG / TURN_PER_STEP).ceil().max(STEPS_PER_SECOND)
 }

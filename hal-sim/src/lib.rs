@@ -32,6 +32,7 @@ pub mod replay;
 pub mod report;
 pub mod reproduce;
 pub mod scenario;
+pub mod sea;
 pub mod sensors;
 pub mod simulate;
 pub mod soak;

@@ -114,6 +114,59 @@ table! {
     }
 }
 
+table! {
+    /// Irregular motion of one angle, about the centre that the swing has.
+    pub struct SeaAngle {
+        numbers {
+            /// Significant amplitude, degrees: the mean of the highest third, twice the standard deviation. Zero: none.
+            significant_deg: f64 = 0.0, [0.0, 60.0];
+            /// Period of the spectrum's peak, s.
+            peak_period_s: f64 = 8.0, [1.5, 3600.0];
+        }
+        tables {}
+    }
+}
+
+table! {
+    /// Irregular motion of one component of the sway.
+    pub struct SeaSway {
+        numbers {
+            /// Significant amplitude, m: the mean of the highest third, twice the standard deviation. Zero: none.
+            significant_m: f64 = 0.0, [0.0, 100.0];
+            /// Period of the spectrum's peak, s.
+            peak_period_s: f64 = 8.0, [1.5, 3600.0];
+        }
+        tables {}
+    }
+}
+
+table! {
+    /// `[sea.*]`: irregular swing and sway, besides the regular ones. Each is a sum of sines with a spectrum as in the
+    /// module [`sea`](crate::sea), frequencies and phases from the seed.
+    pub struct Sea {
+        numbers {
+            /// γ of the spectrum: 1 is Bretschneider's, 3.3 the mean JONSWAP, 7 a swell.
+            peakedness: f64 = 1.0, [1.0, 10.0];
+            /// Sines in each angle and each component of the sway.
+            components: u32 = 30, [1.0, 300.0];
+        }
+        tables {
+            /// Pitch: front up is positive.
+            pitch: SeaAngle;
+            /// Roll: right side down is positive.
+            roll: SeaAngle;
+            /// Heading: clockwise from true north.
+            heading: SeaAngle;
+            /// To the east.
+            east: SeaSway;
+            /// To the north.
+            north: SeaSway;
+            /// Upwards (heave).
+            up: SeaSway;
+        }
+    }
+}
+
 /// How the unit is built into the base: along which of the base's axes its rotor's axis lies (\[Xing18\] §5.1).
 ///
 /// b, the unit's housing, always has its z along the rotor's axis, and what a unit reports is the attitude of b: the
@@ -167,6 +220,9 @@ table! {
             /// Where the rotor's axis points against z of the housing, arc minutes: small rotation about [x, y]. The
             /// IMU at α = 0 lies as the housing does, so that the axis is off its z by as much.
             axis_tilt_arcmin: [f64; 2] = [0.0; 2], [-600.0, 600.0];
+            /// Wobble of the axis: the tilt about x and about y of the housing goes through a sine of this amplitude once
+            /// a turn, seconds of arc. Phases from the seed.
+            wobble_arcsec: f64 = 0.0, [0.0, 3600.0];
         }
         tables {
             /// Along which axis of the base it lies: `"x"`, `"y"` or `"z"`.
@@ -360,6 +416,8 @@ pub struct Scenario {
     pub sway: Sway,
     /// Its turns to other headings.
     pub turn: Vec<TurnOfBase>,
+    /// Irregular motion of both.
+    pub sea: Sea,
     /// The motion of the IMU in the housing.
     pub rotor: Rotor,
     /// The figures of the IMU, as in a `UNIT.toml`: gyros measure `(I + M) ω + G f + b + C_b^s h`, accelerometers
@@ -391,6 +449,7 @@ impl Default for Scenario {
             swing: Swing::default(),
             sway: Sway::default(),
             turn: Vec::new(),
+            sea: Sea::default(),
             rotor: Rotor::default(),
             imu: Unit::perfect(),
             told: None,
@@ -402,11 +461,12 @@ impl Default for Scenario {
     }
 }
 
-const BUILTIN: [(&str, &str); 10] = [
+const BUILTIN: [(&str, &str); 11] = [
     ("static", include_str!("../scenarios/static.toml")),
     ("paper-sim", include_str!("../scenarios/paper-sim.toml")),
     ("paper-turntable", include_str!("../scenarios/paper-turntable.toml")),
     ("moored", include_str!("../scenarios/moored.toml")),
+    ("moored-irregular", include_str!("../scenarios/moored-irregular.toml")),
     (
         "gyrocompass-standard",
         include_str!("../scenarios/gyrocompass-standard.toml"),
@@ -500,6 +560,7 @@ impl Scenario {
         self.swing.check("swing")?;
         self.sway.check("sway")?;
         self.turn.check("turn")?;
+        self.sea.check("sea")?;
         self.rotor.check("rotor")?;
         self.imu.check("imu")?;
         if let Some(told) = &self.told {
@@ -513,7 +574,18 @@ impl Scenario {
         let Swing { pitch, roll, .. } = &self.swing;
         // A unit that is tipped over pitches as the base rolls.
         let roll_limit = if self.rotor.axis == RotorAxis::Y { 85.0 } else { 180.0 };
-        for (key, axis, limit) in [("swing.pitch", pitch, 85.0), ("swing.roll", roll, roll_limit)] {
+        let Sea {
+            pitch: sea_pitch,
+            roll: sea_roll,
+            components,
+            ..
+        } = &self.sea;
+        // All sines at their crest: √2N σ.
+        let crest = |sea: &SeaAngle| sea.significant_deg * (0.5 * f64::from(*components)).sqrt();
+        for (key, axis, sea, limit) in [
+            ("swing.pitch", pitch, sea_pitch, 85.0),
+            ("swing.roll", roll, sea_roll, roll_limit),
+        ] {
             match axis.centre_deg {
                 Angle::Random => {
                     return violation(
@@ -525,6 +597,14 @@ impl Scenario {
                     return violation(
                         key,
                         format!("reaches beyond {limit} degrees: lower centre or amplitude"),
+                    );
+                }
+                Angle::Degrees(centre) if centre.abs() + axis.amplitude_deg + crest(sea) > limit => {
+                    return violation(
+                        &key.replace("swing", "sea"),
+                        format!(
+                            "reaches beyond {limit} degrees where all components meet: lower significant_deg or components"
+                        ),
                     );
                 }
                 Angle::Degrees(_) => {}
@@ -606,7 +686,8 @@ mod tests {
         assert_eq!(
             Scenario::builtin("paper-simm").unwrap_err().to_string(),
             "paper-simm: no built-in scenario of this name; there are static, paper-sim, paper-turntable, moored, \
-             gyrocompass-standard, bias-step, lively-floor, tilted-5, tilted-15, four-headings, or a TOML file of your own"
+             moored-irregular, gyrocompass-standard, bias-step, lively-floor, tilted-5, tilted-15, four-headings, \
+             or a TOML file of your own"
         );
     }
 
@@ -616,6 +697,36 @@ mod tests {
         let acceleration = |axis: &SwayAxis| axis.amplitude_m * (core::f64::consts::TAU / axis.period_s).powi(2);
         let level = acceleration(&s.sway.east).hypot(acceleration(&s.sway.north));
         assert!((level - 0.22).abs() < 1e-3, "{level}");
+    }
+
+    #[test]
+    fn the_irregular_berth_moves_as_much_as_the_regular_one() {
+        let (regular, irregular) = (
+            Scenario::builtin("moored").unwrap(),
+            Scenario::builtin("moored-irregular").unwrap(),
+        );
+        let (swing, sway, sea) = (&regular.swing, &regular.sway, &irregular.sea);
+        for (axis, sea) in [
+            (&swing.pitch, &sea.pitch),
+            (&swing.roll, &sea.roll),
+            (&swing.heading, &sea.heading),
+        ] {
+            // 2σ = √2 A.
+            let part = sea.significant_deg / (2_f64.sqrt() * axis.amplitude_deg);
+            assert!(
+                (part - 1.0).abs() < 1e-3 && sea.peak_period_s == axis.period_s,
+                "{part}"
+            );
+        }
+        for (axis, sea) in [(&sway.east, &sea.east), (&sway.north, &sea.north), (&sway.up, &sea.up)] {
+            let part = sea.significant_m / (2_f64.sqrt() * axis.amplitude_m);
+            assert!(
+                (part - 1.0).abs() < 2e-3 && sea.peak_period_s == axis.period_s,
+                "{part}"
+            );
+        }
+        let Scenario { imu, rotor, .. } = &irregular;
+        assert_eq!((imu, rotor), (&regular.imu, &regular.rotor));
     }
 
     #[test]
@@ -707,6 +818,10 @@ mod tests {
         assert_eq!(
             message("[swing.pitch]\ncentre_deg = 80\namplitude_deg = 10"),
             "s.toml:1: swing.pitch: reaches beyond 85 degrees: lower centre or amplitude"
+        );
+        assert_eq!(
+            message("\n[sea.roll]\nsignificant_deg = 50"),
+            "s.toml:2: sea.roll: reaches beyond 180 degrees where all components meet: lower significant_deg or components"
         );
         assert_eq!(
             message("[swing.roll]\ncentre_deg = \"random\""),

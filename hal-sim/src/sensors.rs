@@ -67,6 +67,10 @@ pub enum Stream {
     Serial = 15,
     /// Gyro error fixed to the housing.
     GyroHousing = 16,
+    /// Frequencies and phases of an irregular sea.
+    Sea = 17,
+    /// Phases of the wobble of the rotor's axis.
+    Wobble = 18,
 }
 
 /// The generator of one source of chance in the run with this seed.

@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use crate::align::{self, Angles, Method, Reading, Setup};
 use crate::config::Violation;
-use crate::scenario::{Scenario, Sway, Swing};
+use crate::scenario::{Scenario, Sea, Sway, Swing};
 use crate::sensors::{Encoder, Imu};
 use crate::truth::Truth;
 
@@ -137,6 +137,7 @@ fn calibrated(scenario: &Scenario, encoder: &Encoder, seed: u64) -> Result<(Imu,
         axis.amplitude_deg = 0.0;
     }
     resting.sway = Sway::default();
+    resting.sea = Sea::default();
     let turning = Truth::new(&resting, seed)?;
     let period = turning.schedule().period();
     resting.rotor.rate_dps = 0.0;

@@ -1,14 +1,18 @@
 //! Truth: the motion of the unit in closed form, and the exact integrals an IMU would measure.
 //!
 //! ```text
-//! C_b^n = Rz(−heading) Rx(pitch) Ry(roll) B    each angle: centre + A sin(2π t/T + φ)   [Xing18] §5.1
-//! C_s^b = U Rz(α) Uᵀ                           U tilts the rotor's axis; α by nav::rotor, with ripple
+//! C_b^n = Rz(−heading) Rx(pitch) Ry(roll) B    each angle: centre + Σ A sin(2π t/T + φ)   [Xing18] §5.1
+//! C_s^b = P U Rz(α) Uᵀ                         U tilts the rotor's axis; α by nav::rotor, with ripple
+//! P     = Rx(W sin(α + φ_x)) Ry(W sin(α + φ_y))    the axis wobbles once a turn
 //! p^n   = sway + C_b^n l                       l: lever arm
 //! ω_is^s = C_b^s (ω_nb^b + C_n^b ω_ie^n) + α̇ u
 //! f^s    = C_n^s (a + 2 ω_ie × v − g)
 //! ```
 //!
 //! B is how the unit is built into the base that swings ([`RotorAxis`]): one where it stands upright, and b is the base.
+//! Swing and sway are sums of sines: one where they are regular, those of [`sea`] besides.
+//! What a sum is around an instant comes from its first ten derivatives there: with the steps below the next
+//! term is less than `(2π/120)⁹/9! = 8e-18` of the amplitude.
 //!
 //! Heading takes the turns of the base ([`TurnOfBase`]) besides.
 //!
@@ -18,11 +22,11 @@
 //! Increments are integrated by the Gauss–Legendre rule of 3 nodes, `h⁷ f⁽⁶⁾/2 016 000` off over a step h. With the
 //! fastest motion of period T resolved into 60 steps or more the error is below `(2π/60)⁶/2e6 = 6e-13` of the rate per
 //! step; at 100 Hz and the papers' swing it is 1e-18 rad, far below rounding. Steps are cut where the rotor's
-//! acceleration jumps. Not modelled: vibration.
+//! acceleration jumps. Vibration is the IMU's ([`Imu`](crate::sensors::Imu)): it displaces nothing.
 
 use core::f64::consts::TAU;
 
-use frames::units::{ARC_MIN, DEG};
+use frames::units::{ARC_MIN, ARC_SEC, DEG};
 use frames::{Attitude, Body, Nav, Rot, Sensor, Vec3};
 use nalgebra::{Matrix3, Vector3};
 use nav::earth::Earth;
@@ -30,7 +34,8 @@ use nav::rotor::{RotorState, Schedule};
 use rand::RngExt;
 
 use crate::config::{Angle, Violation};
-use crate::scenario::{Axis, RotorAxis, Scenario, SwayAxis, TurnOfBase};
+use crate::scenario::{Axis, RotorAxis, Scenario, SeaAngle, SeaSway, SwayAxis, TurnOfBase};
+use crate::sea;
 use crate::sensors::{Stream, stream};
 
 /// Longest step of the integration, s.
@@ -83,41 +88,105 @@ struct Motion {
     ddx: f64,
 }
 
-/// `centre + amplitude · sin(omega t + phase)`.
+/// `amplitude · sin(omega t + phase)`.
 #[derive(Debug, Clone, Copy)]
 struct Sine {
-    centre: f64,
     amplitude: f64,
     omega: f64,
     phase: f64,
 }
 
-impl Sine {
-    fn at(&self, argument: SinCos) -> Motion {
-        let (s, c) = (self.amplitude * argument.sin, self.amplitude * argument.cos);
-        Motion {
-            x: self.centre + s,
-            dx: self.omega * c,
-            ddx: -self.omega * self.omega * s,
+/// Derivatives of a [`Wave`] that are kept: those of its second derivative up to the eighth.
+const DERIVATIVES: usize = 10;
+
+/// A sum of sines about a centre.
+#[derive(Debug, Clone)]
+struct Wave {
+    centre: f64,
+    /// None where it rests.
+    sines: Vec<Sine>,
+}
+
+impl Wave {
+    fn new(centre: f64, sines: impl Iterator<Item = Sine>) -> Self {
+        Self {
+            centre,
+            sines: sines.filter(|sine| sine.amplitude != 0.0).collect(),
         }
     }
 
-    /// Its argument at a time; a component that rests needs none.
-    fn argument(&self, t: f64) -> SinCos {
-        if self.amplitude == 0.0 {
-            SinCos { sin: 0.0, cos: 1.0 }
-        } else {
-            SinCos::of(self.omega * t + self.phase)
+    fn at(&self, t: f64) -> Jet {
+        let mut derivatives = [0.0; DERIVATIVES + 1];
+        for sine in &self.sines {
+            let SinCos { sin, cos } = SinCos::of(sine.omega * t + sine.phase);
+            let mut power = sine.amplitude;
+            for (derivative, direction) in derivatives.iter_mut().zip([sin, cos, -sin, -cos].into_iter().cycle()) {
+                *derivative += power * direction;
+                power *= sine.omega;
+            }
         }
+        derivatives[0] += self.centre;
+        Jet(derivatives)
+    }
+}
+
+/// A [`Wave`] and its derivatives by time at one instant.
+#[derive(Debug, Clone, Copy)]
+struct Jet([f64; DERIVATIVES + 1]);
+
+impl Jet {
+    fn value(&self) -> f64 {
+        self.0[0]
     }
 
-    fn moved(&self, argument: SinCos, dt: f64) -> SinCos {
-        if self.amplitude == 0.0 {
-            argument
-        } else {
-            argument.moved(self.omega * dt)
-        }
+    /// The motion `dt` later.
+    #[inline]
+    fn moved(&self, dt: f64) -> Motion {
+        let [x, dx, ddx] = core::array::from_fn(|first| {
+            let mut sum = 0.0;
+            for n in (0..=DERIVATIVES - 2).rev() {
+                sum = self.0[first + n] + sum * dt / (n + 1) as f64;
+            }
+            sum
+        });
+        Motion { x, dx, ddx }
     }
+}
+
+/// The rotor's axis as it wobbles: `amplitude · sin(α + phase)` about x and about y of the housing.
+#[derive(Debug, Clone, Copy)]
+struct Wobble {
+    amplitude: f64,
+    /// Of x and y.
+    phases: [SinCos; 2],
+}
+
+impl Wobble {
+    /// Angles about x and y where the rotor is at `alpha`, and their derivatives by α.
+    fn at(&self, alpha: SinCos) -> [(f64, f64); 2] {
+        self.phases.map(|phase| {
+            (
+                self.amplitude * (alpha.sin * phase.cos + alpha.cos * phase.sin),
+                self.amplitude * (alpha.cos * phase.cos - alpha.sin * phase.sin),
+            )
+        })
+    }
+}
+
+/// P = Rx(x) Ry(y).
+fn rx_ry(x: f64, y: f64) -> Matrix3<f64> {
+    let (x, y) = (SinCos::of(x), SinCos::of(y));
+    Matrix3::new(
+        y.cos,
+        0.0,
+        y.sin,
+        x.sin * y.sin,
+        x.cos,
+        -x.sin * y.cos,
+        -x.cos * y.sin,
+        x.sin,
+        x.cos * y.cos,
+    )
 }
 
 /// A turn by `by` within `over` from `from` on, `by (u − sin(2πu)/2π)` with u from 0 to 1: rate and acceleration are zero at
@@ -151,14 +220,14 @@ struct Instant {
 struct Base {
     /// Its time, s.
     t: f64,
-    /// Arguments of yaw, pitch, roll.
-    swing: [SinCos; 3],
-    /// Yaw, pitch, roll themselves …
+    /// Yaw, pitch, roll of the swing …
+    swing: [Jet; 3],
+    /// … themselves with the turns …
     angles: [f64; 3],
     /// … and their sines and cosines.
     euler: [SinCos; 3],
-    /// Arguments of east, north, up.
-    sway: [SinCos; 3],
+    /// East, north, up; `None` where none moves.
+    sway: Option<[Jet; 3]>,
     /// The ideal rotor, without ripple.
     rotor: RotorState<f64>,
     /// True rotor angle …
@@ -179,12 +248,11 @@ struct Housing {
 #[derive(Debug, Clone)]
 pub struct Truth {
     /// Yaw (counter-clockwise), pitch, roll of the base, rad.
-    swing: [Sine; 3],
+    swing: [Wave; 3],
     /// What yaw takes besides.
     turns: Vec<Turn>,
-    /// East, north, up, m.
-    sway: [Sine; 3],
-    swaying: bool,
+    /// East, north, up, m; `None` where none moves.
+    sway: Option<[Wave; 3]>,
     lever_arm_b: Vector3<f64>,
     schedule: Schedule<f64>,
     /// Amplitude of the ripple in angle, rad, and its harmonic.
@@ -193,6 +261,7 @@ pub struct Truth {
     tilt: Option<Matrix3<f64>>,
     /// B: from b to the axes of the base; `None` where they are the same.
     mounting: Option<Matrix3<f64>>,
+    wobble: Option<Wobble>,
     tilt_b: Vec3<Body, f64>,
     w_ie_n: Vector3<f64>,
     gravity: f64,
@@ -222,37 +291,56 @@ impl Truth {
             *draw = rng.random::<f64>() * TAU;
         }
         let [heading, pitch, roll, east, north, up, centre] = draws;
-        let angle = |axis: &Axis, random_phase: f64| Sine {
-            centre: match axis.centre_deg {
-                Angle::Degrees(value) => value * DEG,
-                Angle::Random => centre,
-            },
-            amplitude: axis.amplitude_deg * DEG,
-            omega: TAU / axis.period_s,
-            phase: axis.phase_deg.map_or(random_phase, |phase| phase * DEG),
+        let sea = &scenario.sea;
+        let mut sea_rng = stream(seed, Stream::Sea);
+        let mut irregular = |significant: f64, peak_period_s: f64| {
+            // Drawn whether used or not: a sea more leaves the others as they were.
+            let draws: Vec<[f64; 2]> = (0..sea.components).map(|_| sea_rng.random()).collect();
+            let components = if significant == 0.0 {
+                Vec::new()
+            } else {
+                sea::components(&draws, peak_period_s, sea.peakedness)
+            };
+            // Of N sines of the same amplitude: σ² = N A²/2, and the significant amplitude is 2σ.
+            let amplitude = significant / f64::from(2 * sea.components).sqrt();
+            components.into_iter().map(move |component| Sine {
+                amplitude,
+                omega: component.omega,
+                phase: component.phase,
+            })
         };
-        let sway = |axis: &SwayAxis, random_phase: f64| Sine {
-            centre: 0.0,
-            amplitude: axis.amplitude_m,
-            omega: TAU / axis.period_s,
-            phase: axis.phase_deg.map_or(random_phase, |phase| phase * DEG),
+        let regular = |amplitude: f64, period_s: f64, phase_deg: Option<f64>, random_phase: f64| {
+            core::iter::once(Sine {
+                amplitude,
+                omega: TAU / period_s,
+                phase: phase_deg.map_or(random_phase, |phase| phase * DEG),
+            })
         };
-        // Heading is clockwise, yaw counter-clockwise.
-        let heading = angle(&scenario.swing.heading, heading);
-        let yaw = Sine {
-            centre: -heading.centre,
-            amplitude: -heading.amplitude,
-            ..heading
+        // Heading is clockwise, yaw counter-clockwise: `unit` is minus one degree.
+        let mut angle = |axis: &Axis, sea: &SeaAngle, random_phase: f64, unit: f64| {
+            let centre = match axis.centre_deg {
+                Angle::Degrees(value) => value * unit,
+                Angle::Random => centre * unit / DEG,
+            };
+            let swing = regular(axis.amplitude_deg * unit, axis.period_s, axis.phase_deg, random_phase);
+            Wave::new(
+                centre,
+                swing.chain(irregular(sea.significant_deg * unit, sea.peak_period_s)),
+            )
         };
         let swing = [
-            yaw,
-            angle(&scenario.swing.pitch, pitch),
-            angle(&scenario.swing.roll, roll),
+            angle(&scenario.swing.heading, &sea.heading, heading, -DEG),
+            angle(&scenario.swing.pitch, &sea.pitch, pitch, DEG),
+            angle(&scenario.swing.roll, &sea.roll, roll, DEG),
         ];
+        let mut sway = |axis: &SwayAxis, sea: &SeaSway, random_phase: f64| {
+            let sway = regular(axis.amplitude_m, axis.period_s, axis.phase_deg, random_phase);
+            Wave::new(0.0, sway.chain(irregular(sea.significant_m, sea.peak_period_s)))
+        };
         let sway = [
-            sway(&scenario.sway.east, east),
-            sway(&scenario.sway.north, north),
-            sway(&scenario.sway.up, up),
+            sway(&scenario.sway.east, &sea.east, east),
+            sway(&scenario.sway.north, &sea.north, north),
+            sway(&scenario.sway.up, &sea.up, up),
         ];
 
         let [tilt_x, tilt_y] = scenario.rotor.axis_tilt_arcmin;
@@ -267,9 +355,12 @@ impl Truth {
         let fastest = swing
             .iter()
             .chain(&sway)
-            .filter(|sine| sine.amplitude != 0.0)
+            .flat_map(|wave| &wave.sines)
             .map(|sine| sine.omega)
             .fold(rotor_rate.max(ripple_rate), f64::max);
+        let wobble = scenario.rotor.wobble_arcsec * ARC_SEC;
+        let mut wobble_rng = stream(seed, Stream::Wobble);
+        let phases = [(); 2].map(|()| SinCos::of(wobble_rng.random::<f64>() * TAU));
         // Clockwise in the scenario, counter-clockwise here.
         let turn = |turn: &TurnOfBase| Turn {
             from: turn.at_s,
@@ -279,8 +370,7 @@ impl Truth {
         Ok(Self {
             swing,
             turns: scenario.turn.iter().map(turn).collect(),
-            sway,
-            swaying: sway.iter().any(|sine| sine.amplitude != 0.0),
+            sway: sway.iter().any(|wave| !wave.sines.is_empty()).then_some(sway),
             lever_arm_b: scenario
                 .rotor
                 .axis
@@ -290,6 +380,10 @@ impl Truth {
             ripple,
             tilt: (tilt_b.norm() > 0.0).then(|| Rot::exp(tilt_b).matrix()),
             mounting: mounted.then(|| scenario.rotor.axis.mounting()),
+            wobble: (wobble > 0.0).then_some(Wobble {
+                amplitude: wobble,
+                phases,
+            }),
             tilt_b,
             w_ie_n: earth.w_ie_n().vector(),
             gravity: earth.gravity(),
@@ -330,7 +424,7 @@ impl Truth {
 
     /// Attitude of the housing at `t` ≥ 0, s.
     pub fn c_nb(&self, t: f64) -> Rot<Nav, Body, f64> {
-        let [yaw, pitch, roll] = self.swing.map(|sine| sine.at(sine.argument(t)).x);
+        let [yaw, pitch, roll] = self.swing.each_ref().map(|wave| wave.at(t).value());
         let yaw = yaw + self.turned(t).x;
         let base = Rot::from_yaw_pitch_roll(yaw, pitch, roll);
         match &self.mounting {
@@ -346,8 +440,16 @@ impl Truth {
 
     /// From s to b at `t`: about the rotor's axis by the rotor angle.
     pub fn c_bs(&self, t: f64) -> Rot<Body, Sensor, f64> {
+        let alpha = self.rotor_angle(t);
         let tilt_s: Vec3<Sensor, f64> = Vec3::from_vector(self.tilt_b.vector());
-        Rot::exp(self.tilt_b) * Rot::about_z(self.rotor_angle(t)) * Rot::exp(-tilt_s)
+        let turned = Rot::exp(self.tilt_b) * Rot::about_z(alpha) * Rot::exp(-tilt_s);
+        match &self.wobble {
+            None => turned,
+            Some(wobble) => {
+                let [(x, _), (y, _)] = wobble.at(SinCos::of(alpha));
+                Rot::<Body, Body, f64>::from_matrix(&rx_ry(x, y)) * turned
+            }
+        }
     }
 
     /// From s to n at `t`.
@@ -357,7 +459,18 @@ impl Truth {
 
     /// True rotor angle at `t`, with ripple, unwrapped, rad.
     pub fn rotor_angle(&self, t: f64) -> f64 {
-        self.base(t).alpha
+        let rotor = self.schedule.at(t);
+        rotor.angle + self.ripple.0 * self.ripple_argument(&rotor).sin
+    }
+
+    /// Sine and cosine of the ripple's argument.
+    fn ripple_argument(&self, rotor: &RotorState<f64>) -> SinCos {
+        let (amplitude, harmonic) = self.ripple;
+        if amplitude > 0.0 {
+            SinCos::of(harmonic * rotor.angle)
+        } else {
+            SinCos { sin: 0.0, cos: 1.0 }
+        }
     }
 
     /// Rate of s against i in s at `t`, rad/s.
@@ -373,8 +486,10 @@ impl Truth {
     /// Position of the IMU at `t` in n, from the mean position of the housing's reference point, m.
     pub fn position_n(&self, t: f64) -> Vec3<Nav, f64> {
         let base = self.base(t);
-        let sway = self.sway_at(&base, 0.0);
-        Vec3::from_vector(sway.map(|m| m.x) + self.housing(&base, 0.0).c_nb * self.lever_arm_b)
+        let sway = base
+            .sway
+            .map_or(Vector3::zeros(), |sway| sway.map(|jet| jet.value()).into());
+        Vec3::from_vector(sway + self.housing(&base, 0.0).c_nb * self.lever_arm_b)
     }
 
     /// Velocity of the IMU over ground at `t` in n, m/s.
@@ -454,23 +569,18 @@ impl Truth {
     }
 
     fn base(&self, t: f64) -> Base {
-        let swing = self.swing.map(|sine| sine.argument(t));
-        let mut angles: [f64; 3] = core::array::from_fn(|i| self.swing[i].at(swing[i]).x);
+        let swing = self.swing.each_ref().map(|wave| wave.at(t));
+        let mut angles = swing.map(|jet| jet.value());
         angles[0] += self.turned(t).x;
         let rotor = self.schedule.at(t);
-        let (amplitude, harmonic) = self.ripple;
-        let ripple = if amplitude > 0.0 {
-            SinCos::of(harmonic * rotor.angle)
-        } else {
-            SinCos { sin: 0.0, cos: 1.0 }
-        };
-        let alpha = rotor.angle + amplitude * ripple.sin;
+        let ripple = self.ripple_argument(&rotor);
+        let alpha = rotor.angle + self.ripple.0 * ripple.sin;
         Base {
             t,
             swing,
             angles,
             euler: angles.map(SinCos::of),
-            sway: self.sway.map(|sine| sine.argument(t)),
+            sway: self.sway.as_ref().map(|sway| sway.each_ref().map(|wave| wave.at(t))),
             rotor,
             alpha,
             alpha_sc: SinCos::of(alpha),
@@ -480,10 +590,7 @@ impl Truth {
 
     /// The housing `dt` after the base.
     fn housing(&self, base: &Base, dt: f64) -> Housing {
-        let mut m: [Motion; 3] = core::array::from_fn(|i| {
-            let sine = &self.swing[i];
-            sine.at(sine.moved(base.swing[i], dt))
-        });
+        let mut m = base.swing.map(|jet| jet.moved(dt));
         let Motion { x, dx, ddx } = self.turned(base.t + dt);
         m[0].x += x;
         m[0].dx += dx;
@@ -525,20 +632,13 @@ impl Truth {
         }
     }
 
-    fn sway_at(&self, base: &Base, dt: f64) -> Vector3Of<Motion> {
-        Vector3Of(core::array::from_fn(|i| {
-            let sine = &self.sway[i];
-            sine.at(sine.moved(base.sway[i], dt))
-        }))
-    }
-
     /// Velocity and acceleration of the IMU in n.
     fn point_motion(&self, housing: &Housing, base: &Base, dt: f64) -> (Vector3<f64>, Vector3<f64>) {
         let (mut velocity, mut acceleration) = (Vector3::zeros(), Vector3::zeros());
-        if self.swaying {
-            let sway = self.sway_at(base, dt);
-            velocity += sway.map(|m| m.dx);
-            acceleration += sway.map(|m| m.ddx);
+        if let Some(sway) = &base.sway {
+            let sway = sway.map(|jet| jet.moved(dt));
+            velocity += Vector3::from(sway.map(|m| m.dx));
+            acceleration += Vector3::from(sway.map(|m| m.ddx));
         }
         if self.lever_arm_b != Vector3::zeros() {
             let w = housing.w_nb_b;
@@ -573,8 +673,16 @@ impl Truth {
         let housing = self.housing(base, dt);
         let (velocity, acceleration) = self.point_motion(&housing, base, dt);
         let f_n = acceleration + self.w_ie_n.cross(&velocity) * 2.0 + Vector3::new(0.0, 0.0, self.gravity);
-        let f_b = housing.c_nb.tr_mul(&f_n);
-        let w_ib_b = housing.w_nb_b + housing.c_nb.tr_mul(&self.w_ie_n);
+        let mut f_b = housing.c_nb.tr_mul(&f_n);
+        let mut w_ib_b = housing.w_nb_b + housing.c_nb.tr_mul(&self.w_ie_n);
+        if let Some(wobble) = &self.wobble {
+            // Into axes that wobble as the rotor's does: Pᵀ, and the rate Ryᵀ x̂ ẋ + ŷ ẏ.
+            let [(x, dx), (y, dy)] = wobble.at(alpha).map(|(angle, by_alpha)| (angle, by_alpha * alpha_rate));
+            let p = rx_ry(x, y);
+            f_b = p.tr_mul(&f_b);
+            let SinCos { sin, cos } = SinCos::of(y);
+            w_ib_b = p.tr_mul(&w_ib_b) + Vector3::new(cos * dx, dy, sin * dx);
+        }
         // Rz(α)ᵀ, between U and Uᵀ.
         let turn = |v: Vector3<f64>| {
             Vector3::new(
@@ -610,16 +718,6 @@ fn hermite(from: &RotorState<f64>, to: &RotorState<f64>, length: f64, t: f64) ->
         from.angle + mean * t + length * bulge * (a * (1.0 - s) - b * s),
         mean + a * (1.0 - s) * (1.0 - 3.0 * s) + b * s * (3.0 * s - 2.0),
     )
-}
-
-/// Three of a kind, one for each axis.
-struct Vector3Of<T>([T; 3]);
-
-impl<T> Vector3Of<T> {
-    fn map(&self, f: impl Fn(&T) -> f64) -> Vector3<f64> {
-        let [x, y, z] = &self.0;
-        Vector3::new(f(x), f(y), f(z))
-    }
 }
 
 #[cfg(test)]
@@ -699,7 +797,7 @@ mod tests {
     fn builtins_and_all() -> Vec<Truth> {
         Scenario::builtin_names()
             .map(|name| Truth::new(&Scenario::builtin(name).unwrap(), 3).unwrap())
-            .chain([truth(ALL, 1), truth(ALL, 2)])
+            .chain([truth(ALL, 1), truth(ALL, 2), truth(SEA, 1)])
             .chain(["x", "y"].map(|axis| truth(&mounted(axis), 1)))
             .collect()
     }
@@ -908,9 +1006,114 @@ mod tests {
         let mut scenario = Scenario::parse(ALL, "test").unwrap();
         scenario.swing.pitch.phase_deg = Some(0.0);
         let c = Truth::new(&scenario, 7).unwrap();
-        assert_eq!(a.swing[0].phase, c.swing[0].phase);
-        assert_eq!(a.sway[2].phase, c.sway[2].phase);
-        assert_eq!(c.swing[1].phase, 0.0);
+        let phase = |wave: &Wave| wave.sines[0].phase;
+        let up = |truth: &Truth| phase(&truth.sway.as_ref().unwrap()[2]);
+        assert_eq!(phase(&a.swing[0]), phase(&c.swing[0]));
+        assert_eq!(up(&a), up(&c));
+        assert_eq!(phase(&c.swing[1]), 0.0);
+    }
+
+    /// A sea in every component, no swing and no sway besides.
+    const SEA: &str = "
+        lever_arm_m = [0.5, -0.3, 0.2]
+        [sea]
+        peakedness = 3.3
+        [sea.pitch]
+        significant_deg = 7
+        peak_period_s = 6
+        [sea.roll]
+        significant_deg = 11
+        peak_period_s = 7
+        [sea.heading]
+        significant_deg = 14
+        peak_period_s = 5
+        [sea.east]
+        significant_m = 0.3
+        peak_period_s = 9
+        [sea.north]
+        significant_m = 0.4
+        peak_period_s = 11
+        [sea.up]
+        significant_m = 0.5
+        peak_period_s = 8
+        [rotor]
+        wobble_arcsec = 300
+        axis_tilt_arcmin = [20, -35]
+    ";
+
+    /// Mean square of a motion, and its spectrum at so many times the peak's frequency, from samples of an hour.
+    fn observed(truth: &Truth, value: impl Fn(&Truth, f64) -> f64, peak_period_s: f64) -> (f64, Vec<(f64, f64)>) {
+        let (seconds, step) = (3600.0, 0.25);
+        let samples: Vec<f64> = (0..(seconds / step) as u32)
+            .map(|k| value(truth, f64::from(k) * step))
+            .collect();
+        let n = samples.len() as f64;
+        let mean = samples.iter().sum::<f64>() / n;
+        let square = samples.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n;
+        let energy = |x: f64| {
+            // Of a band of a tenth of the peak's frequency: the lines in it are far apart against 1/3600 s.
+            let lines = (0.1 * seconds / peak_period_s) as u32;
+            (0..lines)
+                .map(|k| {
+                    let f = (x - 0.05) / peak_period_s + f64::from(k) / seconds;
+                    let (mut c, mut s) = (0.0, 0.0);
+                    for (j, sample) in samples.iter().enumerate() {
+                        let (sin, cos) = (TAU * f * step * j as f64).sin_cos();
+                        c += (sample - mean) * cos;
+                        s += (sample - mean) * sin;
+                    }
+                    2.0 * (c * c + s * s) / (n * n)
+                })
+                .sum::<f64>()
+        };
+        (square, [0.6, 0.8, 1.0, 1.2, 1.5].map(|x| (x, energy(x))).to_vec())
+    }
+
+    #[test]
+    fn a_sea_has_the_spread_and_the_peak_asked_for() {
+        let truth = truth(SEA, 11);
+        type Value = fn(&Truth, f64) -> f64;
+        let motions: [(Value, f64, f64); 3] = [
+            (|truth, t| truth.attitude(t).pitch, 7.0 * DEG, 6.0),
+            (|truth, t| truth.attitude(t).roll, 11.0 * DEG, 7.0),
+            (|truth, t| truth.base(t).sway.unwrap()[1].value(), 0.4, 11.0),
+        ];
+        for (value, significant, peak_period_s) in motions {
+            let (square, spectrum) = observed(&truth, value, peak_period_s);
+            // Thirty lines over an hour: what their differences leave of the mean square is a few percent.
+            let part = 2.0 * square.sqrt() / significant;
+            assert!((part - 1.0).abs() < 0.05, "{part}");
+            let most = spectrum.iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+            assert_eq!(most.0, 1.0, "{spectrum:?}");
+        }
+    }
+
+    #[test]
+    fn one_seed_one_sea_and_a_sea_more_leaves_the_others() {
+        let (a, b) = (truth(SEA, 7), truth(SEA, 7));
+        assert_eq!(a.increment(3.0, 3.01), b.increment(3.0, 3.01));
+        assert_ne!(a.increment(3.0, 3.01), truth(SEA, 8).increment(3.0, 3.01));
+        let calm = truth(&SEA.replace("significant_deg = 7", "significant_deg = 0"), 7);
+        assert!(calm.swing[1].sines.is_empty());
+        for t in [1.0, 50.0] {
+            assert_eq!(calm.swing[2].at(t).value(), a.swing[2].at(t).value());
+            assert_eq!(calm.swing[0].at(t).value(), a.swing[0].at(t).value());
+        }
+    }
+
+    #[test]
+    fn a_rotor_wobbles_once_a_turn() {
+        let truth = truth("[rotor]\nwobble_arcsec = 30", 1);
+        let (mut largest, mut after_a_turn) = (0.0_f64, 0.0_f64);
+        for k in 0..170 {
+            let t = 0.5 + f64::from(k) * 0.1;
+            let axis = |t: f64| truth.c_bs(t) * Vec3::new(0.0, 0.0, 1.0);
+            largest = largest.max(axis(t).x().abs()).max(axis(t).y().abs());
+            // On the way back it is the same at the same angle.
+            after_a_turn = after_a_turn.max((axis(t) - axis(36.2 - t)).norm());
+        }
+        assert!((largest / (30.0 * ARC_SEC) - 1.0).abs() < 0.01, "{largest}");
+        assert!(after_a_turn < 1e-12, "{after_a_turn:e}");
     }
 
     #[test]
