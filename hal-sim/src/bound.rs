@@ -33,8 +33,8 @@
 //! known so well its accelerations would show heading by themselves, as in a transfer alignment, and no filter here is
 //! given that.
 //!
-//! Not modelled: what no filter is told of either (bias steps, saturation), and quantisation, for which [`Limits`] has
-//! formulas.
+//! Not modelled: what no filter is told of either (`[errors]`, `[temperature]`, `[[vibration]]`, wobble), and quantisation,
+//! for which [`Limits`] has formulas.
 
 use frames::units::{
     ARC_MIN, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM, STANDARD_GRAVITY,

@@ -32,7 +32,7 @@ use hal_sim::observability::{self, Attitude, Segment};
 use hal_sim::replay;
 use hal_sim::report::{self, Origin};
 use hal_sim::reproduce;
-use hal_sim::scenario::Scenario;
+use hal_sim::scenario::{Scenario, Temperature};
 use hal_sim::simulate::{self, Moment, Row};
 use hal_sim::soak::SoakConfig;
 use hal_sim::turn;
@@ -97,9 +97,10 @@ fn run(args: &RunArgs, quiet: bool) -> Done {
         .join(format!("{}-seed{}", scenario.name, args.simulated.seed));
     args.log.as_deref().map_or(Ok(()), has_folder)?;
     folder(&dir)?;
+    let warms = scenario.temperature != Temperature::default();
     let log = match &args.log {
         None => None,
-        Some(path) => Some(LogWriter::create(path, false).map_err(|e| cannot_write(path, &e))?),
+        Some(path) => Some(LogWriter::create(path, warms).map_err(|e| cannot_write(path, &e))?),
     };
     if !quiet {
         eprintln!(
@@ -165,7 +166,10 @@ impl simulate::Observer for RunObserver {
             && self.log_error.is_none()
         {
             let s = &row.sample;
-            self.log_error = log.write(row.t, s.dt, s.dtheta_s, s.dv_s, row.encoder, None).err();
+            let temperature_c = Some(row.temperature_c);
+            self.log_error = log
+                .write(row.t, s.dt, s.dtheta_s, s.dv_s, row.encoder, temperature_c)
+                .err();
         }
     }
 

@@ -232,7 +232,7 @@ table! {
 }
 
 table! {
-    /// `[errors]`: errors of the IMU that no data sheet has. Those that are drawn by the sheet's 1σ are in `[imu]`.
+    /// `[errors]`: errors of the IMU that the unit's filter is told no figure of. Those it is told are in `[imu]`.
     pub struct Errors {
         numbers {
             /// A known bias of the gyros on x, y, z, added to what is drawn, °/h.
@@ -253,6 +253,63 @@ table! {
             gyro_range_dps: Option<f64> = None, [1.0, 10000.0];
             /// Mean specific force over a sample beyond which an accelerometer saturates, g. Absent: never.
             accel_range_g: Option<f64> = None, [0.1, 1000.0];
+            /// A gyro error that goes twice a turn of the rotor, in the IMU's axes: its cosine and its sine on each axis,
+            /// 1σ, °/h. Its companion once a turn is `gyro_housing_sd_deg_h` of `[imu]`.
+            gyro_twice_a_turn_sd_deg_h: f64 = 0.0, [0.0, 10000.0];
+            /// Scale factors of the gyros that differ with the sign of the rate, +k for a positive and −k for a negative
+            /// one: k of each axis, 1σ, ppm. Going there and back leaves it, unlike a scale factor.
+            gyro_scale_asymmetry_sd_ppm: f64 = 0.0, [0.0, 10000.0];
+            /// What vibration makes of the gyros' bias, each axis, 1σ, °/h per g² of mean square.
+            gyro_rectification_sd_deg_h_g2: f64 = 0.0, [0.0, 10000.0];
+            /// What vibration makes of the accelerometers' bias, each axis, 1σ, µg per g² of mean square.
+            accel_rectification_sd_ug_g2: f64 = 0.0, [0.0, 1000000.0];
+            /// Bandwidth of gyros and accelerometers, −3 dB, Hz. Absent: unlimited.
+            bandwidth_hz: Option<f64> = None, [0.1, 100000.0];
+            /// Poles of that low-pass, all alike.
+            bandwidth_poles: u32 = 1, [1.0, 2.0];
+            /// By how much the IMU's samples are older than the encoder's readings, besides what the low-pass delays, ms.
+            delay_ms: f64 = 0.0, [0.0, 100.0];
+        }
+        tables {}
+    }
+}
+
+table! {
+    /// `[temperature]`: the unit warms up from its start on, and the IMU's biases drift with it.
+    ///
+    /// The IMU is warmer by `rise_k (1 − e^(−t/tau_s)) + motor_rise_k (1 − e^(−t/motor_tau_s))`.
+    pub struct Temperature {
+        numbers {
+            /// By how much the housing warms up, K.
+            rise_k: f64 = 0.0, [-100.0, 100.0];
+            /// Its time constant, s.
+            tau_s: f64 = 1200.0, [1.0, 100000.0];
+            /// By how much the motor warms the IMU up besides, K.
+            motor_rise_k: f64 = 0.0, [-100.0, 100.0];
+            /// Its time constant, s.
+            motor_tau_s: f64 = 120.0, [1.0, 100000.0];
+            /// Drift of the gyros' bias, each axis, 1σ, °/h per K.
+            gyro_bias_sd_deg_h_k: f64 = 0.0, [0.0, 10000.0];
+            /// Drift of the accelerometers' bias, each axis, 1σ, µg per K.
+            accel_bias_sd_ug_k: f64 = 0.0, [0.0, 100000.0];
+        }
+        tables {}
+    }
+}
+
+table! {
+    /// `[[vibration]]`: a band in which the housing vibrates, along and about each of its axes alike. The lines in it are
+    /// drawn from the seed. It moves nothing on the whole: the true attitude is without it.
+    pub struct Vibration {
+        numbers {
+            /// Lower end of the band, Hz.
+            low_hz: f64 = 20.0, [0.1, 100000.0];
+            /// Upper end, Hz.
+            high_hz: f64 = 200.0, [0.1, 100000.0];
+            /// Acceleration along each axis, RMS, m/s².
+            accel_rms_m_s2: f64 = 0.0, [0.0, 1000.0];
+            /// Angular rate about each axis, RMS, rad/s.
+            rate_rms_rad_s: f64 = 0.0, [0.0, 10.0];
         }
         tables {}
     }
@@ -429,6 +486,10 @@ pub struct Scenario {
     pub told: Option<Unit>,
     /// Its other errors.
     pub errors: Errors,
+    /// How it warms up.
+    pub temperature: Temperature,
+    /// How the housing vibrates.
+    pub vibration: Vec<Vibration>,
     /// The errors of the encoder.
     pub encoder: EncoderErrors,
     /// The lines between devices and unit.
@@ -454,6 +515,8 @@ impl Default for Scenario {
             imu: Unit::perfect(),
             told: None,
             errors: Errors::default(),
+            temperature: Temperature::default(),
+            vibration: Vec::new(),
             encoder: EncoderErrors::default(),
             buses: Buses::default(),
             fault: Vec::new(),
@@ -567,6 +630,11 @@ impl Scenario {
             told.check("told")?;
         }
         self.errors.check("errors")?;
+        self.temperature.check("temperature")?;
+        self.vibration.check("vibration")?;
+        if let Some(k) = self.vibration.iter().position(|band| band.low_hz >= band.high_hz) {
+            return violation(&format!("vibration[{k}].low_hz"), "must be below high_hz".to_owned());
+        }
         self.encoder.check("encoder")?;
         self.buses.check("buses")?;
         self.fault.check("fault")?;
@@ -822,6 +890,10 @@ mod tests {
         assert_eq!(
             message("\n[sea.roll]\nsignificant_deg = 50"),
             "s.toml:2: sea.roll: reaches beyond 180 degrees where all components meet: lower significant_deg or components"
+        );
+        assert_eq!(
+            message("[[vibration]]\nhigh_hz = 9\nlow_hz = 9"),
+            "s.toml:3: vibration[0].low_hz: must be below high_hz"
         );
         assert_eq!(
             message("[swing.roll]\ncentre_deg = \"random\""),

@@ -1,12 +1,14 @@
 //! Sensor errors, seeded, applied to exact increments.
 //!
 //! ```text
-//! Δθ' = (I + M_g) Δθ + G Δv + (b_g + x_g + C_b^s h) dt + n_g    n_g ~ N(0, ARW² dt)
-//! Δv' = (I + M_a) Δv        + (b_a + x_a) dt + n_a              n_a ~ N(0, VRW² dt)
-//! ẋ = −x/τ + w,  E x² = σ²                                first-order Gauss–Markov, stationary from the start
+//! Δθ' = (I + M_g) Δθ + K |Δθ| + G Δv + (b_g + x_g + C_b^s h + d(2α)) dt + n_g    n_g ~ N(0, ARW² dt)
+//! Δv' = (I + M_a) Δv                 + (b_a + x_a) dt + n_a                      n_a ~ N(0, VRW² dt)
+//! ẋ = −x/τ + w,  E x² = σ²                    first-order Gauss–Markov, stationary from the start
+//! b = b_0 + c ΔT(t) + r a²                    ΔT: warming up, a²: mean square of the vibration
 //! ```
 //!
-//! then saturation, then quantisation with the remainder carried to the next sample.
+//! of increments as bandwidth and delay leave them, with the vibration's added; then saturation, then quantisation with
+//! the remainder carried to the next sample.
 //!
 //! # Seeds
 //!
@@ -14,20 +16,21 @@
 //! switching one error on, or scaling it, leaves every other draw as it was. Runs of a Monte Carlo have the seeds
 //! [`run_seed`] derives from the one given.
 //!
-//! Not modelled: temperature, bandwidth, vibration rectification, correlated axes.
+//! Not modelled: scale factors over temperature, correlated axes, what saturates between two samples.
 
 use core::f64::consts::TAU;
+use std::collections::VecDeque;
 
 use frames::units::{
     ARC_MIN, ARC_SEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM, STANDARD_GRAVITY,
 };
 use frames::{Sensor, Vec3};
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3, Vector6};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use crate::scenario::Scenario;
+use crate::scenario::{Errors, Scenario};
 
 /// The sources of chance in a run. The number is the stream's and is part of what a seed means: append, never renumber.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,6 +74,20 @@ pub enum Stream {
     Sea = 17,
     /// Phases of the wobble of the rotor's axis.
     Wobble = 18,
+    /// Lines of the vibration.
+    Vibration = 19,
+    /// What vibration makes of the gyros' bias.
+    GyroRectification = 20,
+    /// What vibration makes of the accelerometers' bias.
+    AccelRectification = 21,
+    /// Drift of the gyros' bias with temperature.
+    GyroThermal = 22,
+    /// Drift of the accelerometers' bias with temperature.
+    AccelThermal = 23,
+    /// Scale factors of the gyros that differ with the sign.
+    GyroAsymmetry = 24,
+    /// Gyro error twice a turn.
+    GyroTwiceATurn = 25,
 }
 
 /// The generator of one source of chance in the run with this seed.
@@ -149,6 +166,125 @@ impl Walk {
     }
 }
 
+/// How the IMU warms up.
+#[derive(Debug, Clone)]
+struct Warming {
+    /// Rise, K, and time constant, s, of housing and motor.
+    parts: [(f64, f64); 2],
+}
+
+impl Warming {
+    /// Mean rise from `start` on over `dt`, K.
+    fn mean(&self, start: f64, dt: f64) -> f64 {
+        let part = |(rise, tau): (f64, f64)| rise * (1.0 - (-start / tau).exp() * -(-dt / tau).exp_m1() * tau / dt);
+        self.parts.into_iter().map(part).sum()
+    }
+
+    /// Rise at a time, K.
+    fn at(&self, time: f64) -> f64 {
+        self.parts
+            .into_iter()
+            .map(|(rise, tau)| -rise * (-time / tau).exp_m1())
+            .sum()
+    }
+}
+
+/// One line of the vibration: rate and acceleration of the housing are `amplitude · sin(ω t + phase)` on one axis.
+#[derive(Debug, Clone)]
+struct VibrationLine {
+    axis: usize,
+    omega: f64,
+    phase: f64,
+    /// rad/s.
+    rate: f64,
+    /// m/s².
+    acceleration: f64,
+}
+
+/// Lines of a band of vibration on each axis.
+const LINES_PER_BAND: usize = 16;
+
+/// Low-pass and delay of the increments.
+///
+/// The rate is taken to be even over a sample. A rate that changes evenly is then delayed by exactly the poles' time
+/// constants and the delay; of a sine, `(ω dt)²/8` at most is lost besides.
+#[derive(Debug, Clone)]
+struct Response {
+    /// Time constant of a pole, s; `None` where the bandwidth is unlimited.
+    tau: Option<f64>,
+    /// What each pole puts out now; `None` before the first sample, in which the motion is taken to have gone on before.
+    poles: Vec<Option<Vector6<f64>>>,
+    delay: f64,
+    /// Length and mean rate of the samples that are still to come out, the oldest first.
+    past: VecDeque<(f64, Vector6<f64>)>,
+}
+
+impl Response {
+    fn new(errors: &Errors) -> Option<Self> {
+        let delay = errors.delay_ms * 1e-3;
+        if errors.bandwidth_hz.is_none() && delay == 0.0 {
+            return None;
+        }
+        Some(Self {
+            tau: errors
+                .bandwidth_hz
+                .map(|bandwidth| pole_time(bandwidth, errors.bandwidth_poles)),
+            poles: vec![None; errors.bandwidth_poles as usize],
+            delay,
+            past: VecDeque::new(),
+        })
+    }
+
+    /// The increments of angle and velocity that come out during the next `dt`.
+    fn apply(&mut self, angle: Vector3<f64>, velocity: Vector3<f64>, dt: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let mut rate = Vector6::from_fn(|i, _| if i < 3 { angle[i] } else { velocity[i - 3] }) / dt;
+        if let Some(tau) = self.tau {
+            let part = -(-dt / tau).exp_m1();
+            for pole in &mut self.poles {
+                let from = pole.unwrap_or(rate) - rate;
+                *pole = Some(rate + from * (1.0 - part));
+                rate += from * (part * tau / dt);
+            }
+        }
+        if self.delay > 0.0 {
+            self.past.push_back((dt, rate));
+            rate = self.delayed(dt);
+        }
+        (
+            rate.fixed_rows::<3>(0).into_owned() * dt,
+            rate.fixed_rows::<3>(3).into_owned() * dt,
+        )
+    }
+
+    /// Mean rate over `dt`, the delay ago.
+    fn delayed(&mut self, dt: f64) -> Vector6<f64> {
+        let (newest, oldest) = (self.delay, self.delay + dt);
+        let (mut sum, mut age) = (Vector6::zeros(), 0.0);
+        let mut needed = 0;
+        for (length, rate) in self.past.iter().rev() {
+            if age >= oldest {
+                break;
+            }
+            let overlap = (age + length).min(oldest) - age.max(newest);
+            sum += rate * overlap.max(0.0);
+            age += length;
+            needed += 1;
+        }
+        if let Some((_, first)) = self.past.front()
+            && age < oldest
+        {
+            sum += first * (oldest - age.max(newest));
+        }
+        self.past.drain(..self.past.len() - needed);
+        sum / dt
+    }
+}
+
+/// Time constant of each of so many like poles that together are 3 dB down at `bandwidth_hz`, s.
+fn pole_time(bandwidth_hz: f64, poles: u32) -> f64 {
+    (2_f64.powf(1.0 / f64::from(poles)) - 1.0).sqrt() / (TAU * bandwidth_hz)
+}
+
 /// Saturation and quantisation of one triad.
 #[derive(Debug, Clone)]
 struct Output {
@@ -188,7 +324,12 @@ pub struct Measured {
     pub dv_s: Vec3<Sensor, f64>,
     /// Whether any axis was clipped at its range.
     pub saturated: bool,
+    /// Temperature of the IMU at the end of the sample, °C: 25 at the start, and what it has warmed up.
+    pub temperature_c: f64,
 }
+
+/// Temperature of the IMU at the start, °C.
+const START_C: f64 = 25.0;
 
 /// The errors of one IMU in one run.
 #[derive(Debug, Clone)]
@@ -209,6 +350,16 @@ pub struct Imu {
     g_sensitivity: Matrix3<f64>,
     /// h, in b, rad/s.
     housing: Vector3<f64>,
+    /// Cosine and sine of the error that goes twice a turn, in s, rad/s.
+    twice_a_turn: [Vector3<f64>; 2],
+    /// Diagonal of K.
+    asymmetry: Vector3<f64>,
+    warming: Warming,
+    /// Drift of the gyros' bias, rad/s per K, and of the accelerometers', m/s² per K.
+    gyro_thermal: Vector3<f64>,
+    accel_thermal: Vector3<f64>,
+    vibration: Vec<VibrationLine>,
+    response: Option<Response>,
     /// Angle of the rotor in the middle of the next sample, rad.
     rotor: f64,
     gyro_output: Output,
@@ -232,14 +383,33 @@ impl Imu {
         let mut g_rng = stream(seed, Stream::GSensitivity);
         let g_sd = unit.gyro_g_sensitivity_sd_deg_h_g * DEG_PER_HOUR / STANDARD_GRAVITY;
         let housing = draw(Stream::GyroHousing) * (unit.gyro_housing_sd_deg_h * DEG_PER_HOUR);
+        let mut twice_rng = stream(seed, Stream::GyroTwiceATurn);
+        let twice_a_turn =
+            [(); 2].map(|()| normals(&mut twice_rng) * (errors.gyro_twice_a_turn_sd_deg_h * DEG_PER_HOUR));
+        // Of one axis, g².
+        let mean_square = scenario
+            .vibration
+            .iter()
+            .map(|band| (band.accel_rms_m_s2 / STANDARD_GRAVITY).powi(2))
+            .sum::<f64>();
+        let rectified = |source, unit: f64| draw(source) * (unit * mean_square);
+        let temperature = &scenario.temperature;
         Self {
             time: 0.0,
             gyro_bias: draw(Stream::GyroBias) * (unit.gyro_bias_sd_deg_h * DEG_PER_HOUR)
-                + Vector3::from(errors.gyro_bias_deg_h) * DEG_PER_HOUR,
+                + Vector3::from(errors.gyro_bias_deg_h) * DEG_PER_HOUR
+                + rectified(
+                    Stream::GyroRectification,
+                    errors.gyro_rectification_sd_deg_h_g2 * DEG_PER_HOUR,
+                ),
             gyro_step: Vector3::from(errors.gyro_step_deg_h) * DEG_PER_HOUR,
             gyro_step_at: errors.gyro_step_at_s,
             accel_bias: draw(Stream::AccelBias) * (unit.accel_bias_sd_ug * MICRO_G)
-                + Vector3::from(errors.accel_bias_ug) * MICRO_G,
+                + Vector3::from(errors.accel_bias_ug) * MICRO_G
+                + rectified(
+                    Stream::AccelRectification,
+                    errors.accel_rectification_sd_ug_g2 * MICRO_G,
+                ),
             gyro_instability: GaussMarkov::new(
                 unit.gyro_instability_deg_h * DEG_PER_HOUR,
                 unit.gyro_instability_tau_s,
@@ -272,6 +442,18 @@ impl Imu {
             ),
             g_sensitivity: Matrix3::from_fn(|_, _| g_rng.sample::<f64, _>(StandardNormal) * g_sd),
             housing: Vector3::new(housing.x, housing.y, 0.0) + Vector3::from(errors.gyro_housing_deg_h) * DEG_PER_HOUR,
+            twice_a_turn,
+            asymmetry: draw(Stream::GyroAsymmetry) * (errors.gyro_scale_asymmetry_sd_ppm * PPM),
+            warming: Warming {
+                parts: [
+                    (temperature.rise_k, temperature.tau_s),
+                    (temperature.motor_rise_k, temperature.motor_tau_s),
+                ],
+            },
+            gyro_thermal: draw(Stream::GyroThermal) * (temperature.gyro_bias_sd_deg_h_k * DEG_PER_HOUR),
+            accel_thermal: draw(Stream::AccelThermal) * (temperature.accel_bias_sd_ug_k * MICRO_G),
+            vibration: vibration(scenario, seed),
+            response: Response::new(errors),
             rotor: 0.0,
             gyro_output: Output {
                 quantum: errors.gyro_quantum,
@@ -294,16 +476,33 @@ impl Imu {
 
     /// What the IMU makes of the exact increments of the next `dt` seconds (rad, m/s).
     pub fn measure(&mut self, dtheta_s: Vec3<Sensor, f64>, dv_s: Vec3<Sensor, f64>, dt: f64) -> Measured {
-        let (angle, velocity) = (dtheta_s.vector(), dv_s.vector());
+        let (mut angle, mut velocity) = (dtheta_s.vector(), dv_s.vector());
+        if let Some(response) = &mut self.response {
+            (angle, velocity) = response.apply(angle, velocity, dt);
+        }
         let start = self.time;
         self.time += dt;
         // The part of the sample after the step.
         let stepped = (self.time - self.gyro_step_at.max(start)).clamp(0.0, dt);
         let c_sb = Rotation3::from_axis_angle(&Vector3::z_axis(), -self.rotor);
-        let gyro_bias = self.gyro_bias + self.gyro_instability.step(dt) + c_sb * self.housing;
-        let accel_bias = self.accel_bias + self.accel_instability.step(dt);
+        if !self.vibration.is_empty() {
+            let (turned, gained) = self.vibrated(start, dt);
+            angle += c_sb * turned;
+            velocity += c_sb * gained;
+        }
+        let warmer = self.warming.mean(start, dt);
+        let (sin, cos) = (2.0 * self.rotor).sin_cos();
+        let [by_cos, by_sin] = self.twice_a_turn;
+        let gyro_bias = self.gyro_bias
+            + self.gyro_instability.step(dt)
+            + c_sb * self.housing
+            + self.gyro_thermal * warmer
+            + by_cos * cos
+            + by_sin * sin;
+        let accel_bias = self.accel_bias + self.accel_instability.step(dt) + self.accel_thermal * warmer;
         let angle = angle
             + self.gyro_matrix * angle
+            + self.asymmetry.component_mul(&angle.abs())
             + self.g_sensitivity * velocity
             + gyro_bias * dt
             + self.gyro_step * stepped
@@ -315,22 +514,38 @@ impl Imu {
             dtheta_s: Vec3::from_vector(angle),
             dv_s: Vec3::from_vector(velocity),
             saturated: gyro_saturated || accel_saturated,
+            temperature_c: START_C + self.warming.at(self.time),
         }
     }
 
-    /// Bias of the gyros now: turn-on, instability and step, rad/s.
+    /// What the vibration adds to the increments from `start` on over `dt`, in b.
+    fn vibrated(&self, start: f64, dt: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let (mut angle, mut velocity) = (Vector3::zeros(), Vector3::zeros());
+        for line in &self.vibration {
+            // ∫ sin(ω t + φ) dt, its middle and half its length.
+            let middle = line.omega * (start + 0.5 * dt) + line.phase;
+            let integral = middle.sin() * (0.5 * line.omega * dt).sin() * 2.0 / line.omega;
+            angle[line.axis] += line.rate * integral;
+            velocity[line.axis] += line.acceleration * integral;
+        }
+        (angle, velocity)
+    }
+
+    /// Bias of the gyros now: turn-on with rectification, instability, temperature and step, rad/s.
     pub fn gyro_bias_s(&self) -> Vec3<Sensor, f64> {
         let step = if self.time > self.gyro_step_at {
             self.gyro_step
         } else {
             Vector3::zeros()
         };
-        Vec3::from_vector(self.gyro_bias + self.gyro_instability.value + step)
+        let thermal = self.gyro_thermal * self.warming.at(self.time);
+        Vec3::from_vector(self.gyro_bias + self.gyro_instability.value + thermal + step)
     }
 
-    /// Bias of the accelerometers now: turn-on and instability, m/s².
+    /// Bias of the accelerometers now: turn-on with rectification, instability and temperature, m/s².
     pub fn accel_bias_s(&self) -> Vec3<Sensor, f64> {
-        Vec3::from_vector(self.accel_bias + self.accel_instability.value)
+        let thermal = self.accel_thermal * self.warming.at(self.time);
+        Vec3::from_vector(self.accel_bias + self.accel_instability.value + thermal)
     }
 
     /// M of the gyros: scale factors on the diagonal, misalignments (rad) off it; the gyros measure `(I + M) ω`.
@@ -352,6 +567,36 @@ impl Imu {
     pub fn g_sensitivity(&self) -> Matrix3<f64> {
         self.g_sensitivity
     }
+}
+
+/// The lines of the vibration, as the bandwidth leaves them.
+fn vibration(scenario: &Scenario, seed: u64) -> Vec<VibrationLine> {
+    let mut rng = stream(seed, Stream::Vibration);
+    let errors = &scenario.errors;
+    // Of N sines of the same amplitude: the mean square is N A²/2.
+    let share = (2.0 / LINES_PER_BAND as f64).sqrt();
+    let mut lines = Vec::new();
+    for band in &scenario.vibration {
+        for axis in 0..3 {
+            for _ in 0..LINES_PER_BAND {
+                let [within, turn]: [f64; 2] = rng.random();
+                let omega = TAU * (band.low_hz + (band.high_hz - band.low_hz) * within);
+                let (gain, lag) = errors.bandwidth_hz.map_or((1.0, 0.0), |bandwidth| {
+                    let ratio = omega * pole_time(bandwidth, errors.bandwidth_poles);
+                    let poles = f64::from(errors.bandwidth_poles);
+                    ((1.0 + ratio * ratio).powf(-0.5 * poles), ratio.atan() * poles)
+                });
+                lines.push(VibrationLine {
+                    axis,
+                    omega,
+                    phase: turn * TAU - lag,
+                    rate: band.rate_rms_rad_s * share * gain,
+                    acceleration: band.accel_rms_m_s2 * share * gain,
+                });
+            }
+        }
+    }
+    lines
 }
 
 /// The errors of the rotor's encoder: harmonics of a turn, then quantisation. No chance in it.
@@ -567,6 +812,158 @@ mod tests {
             assert_eq!(ma.dv_s, mb.dv_s);
         }
         assert_ne!(run_seed(1, 0), run_seed(0, 1));
+    }
+
+    #[test]
+    fn vibration_has_its_spread_and_moves_nothing() {
+        let text = "[[vibration]]\nlow_hz = 20\nhigh_hz = 60\naccel_rms_m_s2 = 0.5\n[[vibration]]\nlow_hz = 100\n\
+                    high_hz = 200\naccel_rms_m_s2 = 1.2\nrate_rms_rad_s = 0.01\n";
+        // A pole at 10 Hz takes the bands' mean square down to the mean of 1/(1 + (f/10)²) over each.
+        for (bandwidth, low, high) in [("", 1.0, 1.0), ("[errors]\nbandwidth_hz = 10", 0.0744, 0.00496)] {
+            let mut imu = Imu::new(&scenario(&format!("{text}{bandwidth}")), 3);
+            imu.rotor_at(1.0);
+            let (rate, n) = (5000, 50_000);
+            let (mut rates, mut forces, mut angle) = (0.0, 0.0, zero());
+            for _ in 0..n {
+                let m = imu.measure(zero(), zero(), 1.0 / f64::from(rate));
+                angle += m.dtheta_s;
+                rates += (m.dtheta_s * f64::from(rate)).vector().norm_squared();
+                forces += (m.dv_s * f64::from(rate)).vector().norm_squared();
+                assert!(angle.norm() < 4.0 * 0.01 / (TAU * 100.0) * 3.0, "{angle:?}");
+            }
+            let n = 3.0 * f64::from(n);
+            // Where the 16 lines of an axis lie in a band scatters what a filter leaves of them.
+            let limit = if bandwidth.is_empty() { 0.01 } else { 0.25 };
+            let square = rates / n / (1e-4 * high);
+            assert!((square - 1.0).abs() < limit, "{square}");
+            let square = forces / n / (0.25 * low + 1.44 * high);
+            assert!((square - 1.0).abs() < limit, "{square}");
+        }
+    }
+
+    #[test]
+    fn vibration_is_rectified_by_its_mean_square() {
+        let text = "[[vibration]]\naccel_rms_m_s2 = 9.80665\n[[vibration]]\naccel_rms_m_s2 = 19.6133\n[errors]\n\
+                    gyro_rectification_sd_deg_h_g2 = 2\naccel_rectification_sd_ug_g2 = 30\n";
+        let (runs, scenario) = (1000, scenario(text));
+        let (mut gyro, mut accel) = (0.0, 0.0);
+        for run in 0..runs {
+            let imu = Imu::new(&scenario, run_seed(5, run));
+            // 1 g² and 4 g².
+            gyro += (imu.gyro_bias_s() / (10.0 * DEG_PER_HOUR)).vector().norm_squared();
+            accel += (imu.accel_bias_s() / (150.0 * MICRO_G)).vector().norm_squared();
+        }
+        let n = 3.0 * runs as f64;
+        assert!((gyro / n - 1.0).abs() < variance_limit(n), "{}", gyro / n);
+        assert!((accel / n - 1.0).abs() < variance_limit(n), "{}", accel / n);
+    }
+
+    #[test]
+    fn biases_drift_as_the_unit_warms_up() {
+        let text = "[temperature]\nrise_k = 10\ntau_s = 600\nmotor_rise_k = 4\nmotor_tau_s = 60\n\
+                    gyro_bias_sd_deg_h_k = 3\naccel_bias_sd_ug_k = 20\n";
+        let (runs, scenario) = (1000, scenario(text));
+        let (mut gyro, mut accel) = (0.0, 0.0);
+        for run in 0..runs {
+            let mut imu = Imu::new(&scenario, run_seed(6, run));
+            assert_eq!(imu.gyro_bias_s(), zero());
+            let m = imu.measure(zero(), zero(), 600.0);
+            // 10 K (1 − 1/e) and 4 K (1 − e⁻¹⁰) at the end; 10 K/e and 4 K (1 − (1 − e⁻¹⁰)/10) in the mean.
+            let (end, mean) = (6.321_206 + 3.999_818, 3.678_794 + 3.600_018);
+            assert!((m.temperature_c - 25.0 - end).abs() < 1e-5, "{}", m.temperature_c);
+            let part = (m.dtheta_s / 600.0).vector() * end - imu.gyro_bias_s().vector() * mean;
+            assert!(part.norm() < 1e-6 * imu.gyro_bias_s().norm() * mean, "{part:?}");
+            gyro += (imu.gyro_bias_s() / (3.0 * end * DEG_PER_HOUR)).vector().norm_squared();
+            accel += (imu.accel_bias_s() / (20.0 * end * MICRO_G)).vector().norm_squared();
+        }
+        let n = 3.0 * runs as f64;
+        assert!((gyro / n - 1.0).abs() < variance_limit(n), "{}", gyro / n);
+        assert!((accel / n - 1.0).abs() < variance_limit(n), "{}", accel / n);
+    }
+
+    #[test]
+    fn bandwidth_and_delay_are_as_told() {
+        // One pole of 8 Hz is 1/(2π 8 Hz) behind, two of 8 Hz together each √(√2 − 1) of that.
+        let pole = 1.0 / (TAU * 8.0);
+        let two = 2.0 * (2_f64.sqrt() - 1.0).sqrt() * pole;
+        for (text, behind) in [
+            ("bandwidth_hz = 8", pole),
+            ("bandwidth_hz = 8\nbandwidth_poles = 2", two),
+            ("delay_ms = 23.7", 0.0237),
+            ("bandwidth_hz = 8\ndelay_ms = 2", pole + 0.002),
+        ] {
+            let scenario = scenario(&format!("[errors]\n{text}"));
+            // A rate and a force that grow evenly, in samples that are not all alike.
+            let (mut imu, mut t) = (Imu::new(&scenario, 1), 0.0);
+            for k in 0..400 {
+                let dt = if k % 3 == 0 { 0.012 } else { 0.009 };
+                let middle = t + 0.5 * dt;
+                t += dt;
+                let ramp = |at: f64| Vec3::<Sensor, f64>::new(0.1, -0.2, 0.3) * (at * dt);
+                let m = imu.measure(ramp(middle), ramp(middle) * 5.0, dt);
+                if t > 1.0 {
+                    let expected = ramp(middle - behind);
+                    // Uneven samples move the poles' own delay by their difference.
+                    assert!((m.dtheta_s - expected).norm() < 2e-3 * dt, "{text}: {:?}", m.dtheta_s);
+                    assert!((m.dv_s - expected * 5.0).norm() < 1e-2 * dt);
+                }
+            }
+            // A constant goes through from the first sample on.
+            let mut imu = Imu::new(&scenario, 1);
+            let still = Vec3::new(0.0, 0.0, 0.098);
+            for _ in 0..5 {
+                assert!((imu.measure(zero(), still, 0.01).dv_s - still).norm() < 1e-15);
+            }
+        }
+        // Half of the power is left at the bandwidth.
+        for poles in [1, 2] {
+            let text = format!("[errors]\nbandwidth_hz = 8\nbandwidth_poles = {poles}");
+            let (mut imu, mut square) = (Imu::new(&scenario(&text), 1), 0.0);
+            for k in 0..40_000_u32 {
+                let rate = (TAU * 8.0 * f64::from(k) * 1e-4).sin();
+                let out = imu.measure(Vec3::new(rate * 1e-4, 0.0, 0.0), zero(), 1e-4).dtheta_s.x() * 1e4;
+                // Whole periods, after the start.
+                if k >= 20_000 {
+                    square += 2.0 * out * out / 20_000.0;
+                }
+            }
+            assert!((square - 0.5).abs() < 1e-3, "{poles}: {square}");
+        }
+    }
+
+    #[test]
+    fn an_asymmetric_scale_factor_is_left_by_turning_there_and_back() {
+        let scenario = scenario("[errors]\ngyro_scale_asymmetry_sd_ppm = 20");
+        let (runs, mut square) = (1000, 0.0);
+        let turn = Vec3::new(0.01, -0.02, 0.03);
+        for run in 0..runs {
+            let mut imu = Imu::new(&scenario, run_seed(7, run));
+            let left = imu.measure(turn, zero(), 0.01).dtheta_s + imu.measure(-turn, zero(), 0.01).dtheta_s;
+            square += left
+                .vector()
+                .component_div(&(turn.vector() * (2.0 * 20.0 * PPM)))
+                .norm_squared();
+        }
+        let n = 3.0 * runs as f64;
+        assert!((square / n - 1.0).abs() < variance_limit(n), "{}", square / n);
+    }
+
+    #[test]
+    fn an_error_twice_a_turn_is_the_same_half_a_turn_on() {
+        let scenario = scenario("[errors]\ngyro_twice_a_turn_sd_deg_h = 4");
+        let (runs, mut square) = (1000, 0.0);
+        for run in 0..runs {
+            let mut imu = Imu::new(&scenario, run_seed(8, run));
+            let mut at = |alpha: f64| {
+                imu.rotor_at(alpha);
+                imu.measure(zero(), zero(), 0.01).dtheta_s / (0.01 * DEG_PER_HOUR)
+            };
+            let [here, quarter, half] = [0.3, 0.3 + 0.25 * TAU, 0.3 + 0.5 * TAU].map(&mut at);
+            assert!((here + quarter).norm() < 1e-12 && (here - half).norm() < 1e-12);
+            square += (here / 4.0).vector().norm_squared();
+        }
+        let n = 3.0 * runs as f64;
+        assert!((square / n - 1.0).abs() < variance_limit(n), "{}", square / n);
     }
 
     #[test]

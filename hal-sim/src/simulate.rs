@@ -68,6 +68,8 @@ pub struct Row {
     pub encoder: f64,
     /// Whether a sensor was clipped.
     pub saturated: bool,
+    /// Temperature of the IMU at the end, °C.
+    pub temperature_c: f64,
 }
 
 /// The measured samples of one run, in order. An iterator: a run of any length takes no memory.
@@ -215,6 +217,7 @@ impl Iterator for Simulation {
                 .map_or(sample, |calibration| calibration.corrected(&sample)),
             encoder: self.encoder.measure(self.truth.rotor_angle(t)),
             saturated: measured.saturated,
+            temperature_c: measured.temperature_c,
         })
     }
 }

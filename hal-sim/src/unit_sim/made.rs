@@ -154,7 +154,9 @@ impl Exposure {
         };
         while self.drawn < place {
             self.drawn += 1;
-            self.errors.measure(Vec3::zero(), Vec3::zero(), self.period);
+            // The motion as it is now: a bandwidth has nothing to catch up with.
+            let part = self.period / dt;
+            self.errors.measure(dtheta_s * part, dv_s * part, self.period);
         }
         self.last = Some((t1, place));
         self.drawn += 1;
@@ -167,7 +169,7 @@ pub fn motion(measured: &Measured, dt: f64) -> Motion {
     Motion {
         rate: (measured.dtheta_s / dt).to_array(),
         force: (measured.dv_s / dt).to_array(),
-        temperature_c: 25.0,
+        temperature_c: measured.temperature_c,
     }
 }
 
