@@ -263,7 +263,7 @@ fn steps_per_second(scenario: &Scenario) -> f64 {
             .into_iter()
             .map(|sea| SEA_RATE * sea.significant_deg * core::f64::consts::TAU / sea.peak_period_s)
             .sum::<f64>()
-        + scenario.rotor.rate_dps * (1.0 + scenario.rotor.ripple_fraction);
+        + scenario.rotor.fastest_dps() * (1.0 + scenario.rotor.ripple_fraction);
     (fastest * DEG / TURN_PER_STEP).ceil().max(STEPS_PER_SECOND)
 }
 

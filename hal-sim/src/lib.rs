@@ -31,6 +31,7 @@ pub mod plot;
 pub mod replay;
 pub mod report;
 pub mod reproduce;
+pub mod rotation;
 pub mod scenario;
 pub mod sea;
 pub mod sensors;

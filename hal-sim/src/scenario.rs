@@ -13,6 +13,7 @@ use nav::rotor::{RotorConfig, Schedule};
 use serde::{Deserialize, Serialize};
 
 use crate::config::{self, Angle, ConfigError, ConfigProblem, Table, Violation, table};
+use crate::rotation::Rotation;
 use crate::unit::Unit;
 
 table! {
@@ -203,6 +204,21 @@ impl Table for RotorAxis {
 }
 
 table! {
+    /// One leg of `[rotor] legs`: from the turning point before to this one.
+    pub struct Leg {
+        numbers {
+            /// Where it ends, degrees; the first begins at 0, and the last must end there.
+            to_deg: f64 = 0.0, [-3600.0, 3600.0];
+            /// Rate, °/s. Absent: the rotor's.
+            rate_dps: Option<f64> = None, [0.1, 360.0];
+            /// Rest at its end, s.
+            dwell_s: f64 = 0.0, [0.0, 3600.0];
+        }
+        tables {}
+    }
+}
+
+table! {
     /// `[rotor]`: reciprocating rotation about z; profile of [`nav::rotor`].
     pub struct Rotor {
         numbers {
@@ -223,11 +239,28 @@ table! {
             /// Wobble of the axis: the tilt about x and about y of the housing goes through a sine of this amplitude once
             /// a turn, seconds of arc. Phases from the seed.
             wobble_arcsec: f64 = 0.0, [0.0, 3600.0];
+            /// Every leg at a rate of its own, drawn evenly within this part of the rate. Not for `unit`.
+            rate_spread: f64 = 0.0, [0.0, 0.9];
         }
         tables {
+            /// Legs in place of those over `travel_deg` there and back, see [`rotation`](crate::rotation). Not for `unit`.
+            legs: Vec<Leg>;
             /// Along which axis of the base it lies: `"x"`, `"y"` or `"z"`.
             axis: RotorAxis;
         }
+    }
+}
+
+impl Rotor {
+    /// Whether it moves by legs and not by the schedule of a unit.
+    pub fn has_legs(&self) -> bool {
+        !self.legs.is_empty() || self.rate_spread > 0.0
+    }
+
+    /// Highest rate in a leg, °/s, without ripple.
+    pub fn fastest_dps(&self) -> f64 {
+        let legs = self.legs.iter().filter_map(|leg| leg.rate_dps);
+        legs.fold(self.rate_dps, f64::max) * (1.0 + self.rate_spread)
     }
 }
 
@@ -678,16 +711,14 @@ impl Scenario {
                 Angle::Degrees(_) => {}
             }
         }
-        if let Err(error) = self.schedule() {
-            return violation("rotor", error.to_string());
-        }
+        Rotation::new(self, 0)?;
         if self.run.calibration_s > 0.0 && self.rotor.rate_dps == 0.0 {
             return violation("run.calibration_s", "a calibration needs a rotor that turns".to_owned());
         }
         Ok(())
     }
 
-    /// The rotor's profile, without ripple.
+    /// The rotor's schedule as a unit is told it, without legs and ripple.
     ///
     /// # Errors
     /// Where the rotor's figures are impossible together.
@@ -697,6 +728,20 @@ impl Scenario {
             travel: self.rotor.travel_deg * DEG,
             acceleration: self.rotor.acceleration_dps2 * DEG,
         })
+    }
+
+    /// That a whole unit can be simulated in it.
+    ///
+    /// # Errors
+    /// [`Violation`] where its rotor moves by legs: the motor follows a schedule.
+    pub fn check_for_unit(&self) -> Result<(), Violation> {
+        if self.rotor.has_legs() {
+            return Err(Violation {
+                key: "rotor".to_owned(),
+                problem: "a unit's motor knows neither legs nor rate_spread: `run` simulates the core alone".to_owned(),
+            });
+        }
+        Ok(())
     }
 
     /// The two times of the coarse alignment over the whole run, s.

@@ -88,6 +88,8 @@ pub enum Stream {
     GyroAsymmetry = 24,
     /// Gyro error twice a turn.
     GyroTwiceATurn = 25,
+    /// Rates of the rotor's legs.
+    Rotor = 26,
 }
 
 /// The generator of one source of chance in the run with this seed.

@@ -141,7 +141,7 @@ fn calibrated(scenario: &Scenario, encoder: &Encoder, seed: u64) -> Result<(Imu,
     resting.sway = Sway::default();
     resting.sea = Sea::default();
     let turning = Truth::new(&resting, seed)?;
-    let period = turning.schedule().period();
+    let period = turning.rotation().period();
     resting.rotor.rate_dps = 0.0;
     let resting = Truth::new(&resting, seed)?;
 
@@ -159,7 +159,7 @@ fn calibrated(scenario: &Scenario, encoder: &Encoder, seed: u64) -> Result<(Imu,
         angle_random_walk: noise.angle_random_walk,
         instability: noise.gyro_instability_sd,
         rest: scenario.run.calibration_s,
-        turn: core::f64::consts::TAU.min(turning.schedule().config().travel),
+        turn: core::f64::consts::TAU.min(turning.rotation().travel()),
         w_ie_b: Some(resting.c_nb(0.0).inverse() * resting.w_ie_n()),
         ..CalibrationConfig::default()
     })?;

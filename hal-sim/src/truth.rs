@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! C_b^n = Rz(−heading) Rx(pitch) Ry(roll) B    each angle: centre + Σ A sin(2π t/T + φ)   [Xing18] §5.1
-//! C_s^b = P U Rz(α) Uᵀ                         U tilts the rotor's axis; α by nav::rotor, with ripple
+//! C_s^b = P U Rz(α) Uᵀ                         U tilts the rotor's axis; α by Rotation, with ripple
 //! P     = Rx(W sin(α + φ_x)) Ry(W sin(α + φ_y))    the axis wobbles once a turn
 //! p^n   = sway + C_b^n l                       l: lever arm
 //! ω_is^s = C_b^s (ω_nb^b + C_n^b ω_ie^n) + α̇ u
@@ -30,10 +30,11 @@ use frames::units::{ARC_MIN, ARC_SEC, DEG};
 use frames::{Attitude, Body, Nav, Rot, Sensor, Vec3};
 use nalgebra::{Matrix3, Vector3};
 use nav::earth::Earth;
-use nav::rotor::{RotorState, Schedule};
+use nav::rotor::RotorState;
 use rand::RngExt;
 
 use crate::config::{Angle, Violation};
+use crate::rotation::Rotation;
 use crate::scenario::{Axis, RotorAxis, Scenario, SeaAngle, SeaSway, SwayAxis, TurnOfBase};
 use crate::sea;
 use crate::sensors::{Stream, stream};
@@ -254,7 +255,7 @@ pub struct Truth {
     /// East, north, up, m; `None` where none moves.
     sway: Option<[Wave; 3]>,
     lever_arm_b: Vector3<f64>,
-    schedule: Schedule<f64>,
+    rotation: Rotation,
     /// Amplitude of the ripple in angle, rad, and its harmonic.
     ripple: (f64, f64),
     /// U: from axes with z along the rotor's axis to b; `None` where the axis is z.
@@ -281,7 +282,7 @@ impl Truth {
             key: key.to_owned(),
             problem,
         };
-        let schedule = scenario.schedule().map_err(|e| violation("rotor", e.to_string()))?;
+        let rotation = Rotation::new(scenario, seed)?;
         let earth = Earth::<f64>::new(scenario.place.latitude_deg * DEG, scenario.place.height_m)
             .map_err(|e| violation("place", e.to_string()))?;
 
@@ -350,7 +351,7 @@ impl Truth {
         let ripple = (scenario.rotor.ripple_fraction / harmonic, harmonic);
 
         // The fastest line in the motion: swing, sway, the rotor's turning, its ripple.
-        let rotor_rate = schedule.config().rate;
+        let rotor_rate = rotation.fastest();
         let ripple_rate = if ripple.0 > 0.0 { harmonic * rotor_rate } else { 0.0 };
         let fastest = swing
             .iter()
@@ -376,7 +377,7 @@ impl Truth {
                 .axis
                 .mounting()
                 .tr_mul(&Vector3::from(scenario.lever_arm_m)),
-            schedule,
+            rotation,
             ripple,
             tilt: (tilt_b.norm() > 0.0).then(|| Rot::exp(tilt_b).matrix()),
             mounting: mounted.then(|| scenario.rotor.axis.mounting()),
@@ -392,8 +393,8 @@ impl Truth {
     }
 
     /// The rotor's profile, without ripple.
-    pub fn schedule(&self) -> &Schedule<f64> {
-        &self.schedule
+    pub fn rotation(&self) -> &Rotation {
+        &self.rotation
     }
 
     /// Rate of n against i, resolved in n, rad/s.
@@ -459,7 +460,7 @@ impl Truth {
 
     /// True rotor angle at `t`, with ripple, unwrapped, rad.
     pub fn rotor_angle(&self, t: f64) -> f64 {
-        let rotor = self.schedule.at(t);
+        let rotor = self.rotation.at(t);
         rotor.angle + self.ripple.0 * self.ripple_argument(&rotor).sin
     }
 
@@ -507,7 +508,7 @@ impl Truth {
         let (mut dtheta, mut dv) = (Vector3::zeros(), Vector3::zeros());
         let mut start = t0;
         loop {
-            let corner = self.schedule.next_corner(start).filter(|corner| *corner < t1);
+            let corner = self.rotation.next_corner(start).filter(|corner| *corner < t1);
             let end = corner.unwrap_or(t1);
             self.integrate(start, end, &mut dtheta, &mut dv);
             if corner.is_none() {
@@ -572,7 +573,7 @@ impl Truth {
         let swing = self.swing.each_ref().map(|wave| wave.at(t));
         let mut angles = swing.map(|jet| jet.value());
         angles[0] += self.turned(t).x;
-        let rotor = self.schedule.at(t);
+        let rotor = self.rotation.at(t);
         let ripple = self.ripple_argument(&rotor);
         let alpha = rotor.angle + self.ripple.0 * ripple.sin;
         Base {
@@ -730,12 +731,12 @@ mod tests {
     fn a_driven_rotor_on_schedule_is_the_schedule() {
         let text = ALL.replace("ripple_fraction", "# ripple_fraction");
         let truth = Truth::new(&Scenario::parse(&text, "s").unwrap(), 3).unwrap();
-        let state = |t: f64| truth.schedule.at(t);
+        let state = |t: f64| truth.rotation.at(t);
         let (mut worst_angle, mut worst_velocity) = (0.0_f64, 0.0_f64);
         for k in 0..4000 {
             let (t0, t1) = (f64::from(k) * 0.005, f64::from(k + 1) * 0.005);
             // A jump of the acceleration within the interval is not the cubic's.
-            if truth.schedule.next_corner(t0 - 1e-9).is_some_and(|corner| corner < t1) {
+            if truth.rotation.next_corner(t0 - 1e-9).is_some_and(|corner| corner < t1) {
                 continue;
             }
             let (angle, velocity) = truth.increment(t0, t1);
@@ -804,7 +805,7 @@ mod tests {
 
     /// Whether a corner of the rotor's profile is within `h` of `t`.
     fn near_corner(truth: &Truth, t: f64, h: f64) -> bool {
-        truth.schedule.next_corner((t - h).max(0.0)).is_some_and(|c| c < t + h)
+        truth.rotation.next_corner((t - h).max(0.0)).is_some_and(|c| c < t + h)
     }
 
     #[test]

@@ -257,6 +257,7 @@ struct World<O> {
 impl<O: Observer> World<O> {
     fn new(image: &Image, setup: &Setup, stack: Stack, observer: O) -> Result<Self, Error> {
         let scenario = &setup.scenario;
+        scenario.check_for_unit()?;
         let truth = Truth::new(scenario, setup.seed)?;
         let mut made = Made::new(scenario, setup.seed);
         // As firmware/src/params.rs has them, until the unit is calibrated.

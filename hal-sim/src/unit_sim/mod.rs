@@ -528,6 +528,7 @@ fn bench<const B: usize>(
     method: Method,
     typed: &[Typed],
 ) -> Result<Bench<B>, UnitError> {
+    scenario.check_for_unit()?;
     let made = Made::new(scenario, seed);
     let (plant, edge) = (&made.plant, made.plant.home_edge);
     let setup = Setup::of(scenario, method);
