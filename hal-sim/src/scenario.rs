@@ -557,12 +557,13 @@ impl Default for Scenario {
     }
 }
 
-const BUILTIN: [(&str, &str); 11] = [
+const BUILTIN: [(&str, &str); 12] = [
     ("static", include_str!("../scenarios/static.toml")),
     ("paper-sim", include_str!("../scenarios/paper-sim.toml")),
     ("paper-turntable", include_str!("../scenarios/paper-turntable.toml")),
     ("moored", include_str!("../scenarios/moored.toml")),
     ("moored-irregular", include_str!("../scenarios/moored-irregular.toml")),
+    ("as-built", include_str!("../scenarios/as-built.toml")),
     (
         "gyrocompass-standard",
         include_str!("../scenarios/gyrocompass-standard.toml"),
@@ -799,7 +800,7 @@ mod tests {
         assert_eq!(
             Scenario::builtin("paper-simm").unwrap_err().to_string(),
             "paper-simm: no built-in scenario of this name; there are static, paper-sim, paper-turntable, moored, \
-             moored-irregular, gyrocompass-standard, bias-step, lively-floor, tilted-5, tilted-15, four-headings, \
+             moored-irregular, as-built, gyrocompass-standard, bias-step, lively-floor, tilted-5, tilted-15, four-headings, \
              or a TOML file of your own"
         );
     }
@@ -840,6 +841,8 @@ mod tests {
         }
         let Scenario { imu, rotor, .. } = &irregular;
         assert_eq!((imu, rotor), (&regular.imu, &regular.rotor));
+        // The same sea.
+        assert_eq!(Scenario::builtin("as-built").unwrap().sea, irregular.sea);
     }
 
     #[test]

@@ -491,6 +491,36 @@ mod tests {
     }
 
     #[test]
+    fn every_scenario_draws_the_errors_of_every_part() {
+        for name in Scenario::builtin_names() {
+            for part in &app::parts::PARTS {
+                let mut scenario = Scenario::builtin(name).unwrap();
+                scenario.imu = crate::unit::Unit::of_part(part);
+                scenario.told = None;
+                // Known errors are not the part's.
+                scenario.errors = crate::scenario::Errors::default();
+                scenario.run.duration_s = 0.5;
+                assert_eq!(Setup::of(&scenario, Method::Robust).unit, scenario.imu);
+                let mut simulation = Simulation::new(&scenario, 1).unwrap();
+                assert!(simulation.by_ref().all(|row| row.sample.dtheta_s.norm().is_finite()));
+                let (imu, unit) = (simulation.imu(), &scenario.imu);
+                for (drawn, told) in [
+                    (imu.gyro_matrix().diagonal().norm(), unit.gyro_scale_factor_sd_ppm),
+                    (imu.gyro_matrix()[(0, 2)].abs(), unit.gyro_misalignment_sd_arcmin),
+                    (imu.accel_matrix().diagonal().norm(), unit.accel_scale_factor_sd_ppm),
+                    (imu.accel_matrix()[(0, 2)].abs(), unit.accel_misalignment_sd_arcmin),
+                    (imu.g_sensitivity().norm(), unit.gyro_g_sensitivity_sd_deg_h_g),
+                    (imu.gyro_housing_b().norm(), unit.gyro_housing_sd_deg_h),
+                    (imu.gyro_bias_s().norm(), unit.gyro_bias_sd_deg_h),
+                    (imu.accel_bias_s().norm(), unit.accel_bias_sd_ug),
+                ] {
+                    assert_eq!(drawn > 0.0, told > 0.0, "{name}, {}", part.name);
+                }
+            }
+        }
+    }
+
+    #[test]
     fn a_rotor_along_any_axis_finds_north_without_errors() {
         for axis in [RotorAxis::X, RotorAxis::Y, RotorAxis::Z] {
             let mut scenario = paper("");

@@ -584,3 +584,14 @@ fn a_receiver_says_whether_the_base_stands_and_where() {
     let error = unit.session.result().last.unwrap().error.heading_deg;
     assert!(error.abs() < 2.0, "{error}");
 }
+
+#[test]
+fn a_rotor_by_legs_is_not_for_a_motor() {
+    let mut scenario = paper();
+    scenario.rotor.rate_spread = 0.2;
+    let refused = unit_sim::run(&scenario, 1, Method::Robust, &mut ()).unwrap_err();
+    assert_eq!(
+        refused.to_string(),
+        "rotor: a unit's motor knows neither legs nor rate_spread: `run` simulates the core alone"
+    );
+}
