@@ -190,8 +190,17 @@ impl Stretches {
         let within = t % self.length;
         // Corners closer than rounding are passed already.
         let passed = within + 1e-12 * self.length;
-        let next = self.starts.partition_point(|(start, _)| *start <= passed);
-        t - within + self.starts.get(next).map_or(self.length, |(start, _)| *start)
+        let in_cycle = |from: f64| {
+            let next = self.starts.partition_point(|(start, _)| *start <= from);
+            self.starts.get(next).map(|(start, _)| *start)
+        };
+        let corner = match in_cycle(passed) {
+            Some(corner) => corner,
+            None if passed < self.length => self.length,
+            // At the end already, but for rounding: the first corner of the next cycle, not this end again.
+            None => self.length + in_cycle(0.0).unwrap_or(self.length),
+        };
+        t - within + corner
     }
 }
 
@@ -245,6 +254,21 @@ mod tests {
         // 2 s at rest at the top, after 12 s of way and 0.15 s of ramps at the rate as told.
         let top = (0..2000).filter(|k| rotation.at(f64::from(*k) * 0.01).angle > 359.999 * DEG);
         assert!((195..=210).contains(&top.count()));
+    }
+
+    #[test]
+    fn corners_go_on_over_many_cycles() {
+        for text in [
+            "legs = [{ to_deg = 360 }, { to_deg = -360 }, { to_deg = 0 }]",
+            "rate_spread = 0.25",
+        ] {
+            let (rotation, mut t) = (rotation(text, 1), 0.0);
+            for _ in 0..2000 {
+                let next = rotation.next_corner(t).unwrap();
+                assert!(next > t + 1e-3, "{text}: {next} after {t}");
+                t = next;
+            }
+        }
     }
 
     #[test]
