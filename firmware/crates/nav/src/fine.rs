@@ -1349,24 +1349,27 @@ mod tests {
         }
     }
 
+    /// One increment of a rotor at 0.35 rad/s on a base at rest, level but for 0.01 and 0.02 rad, with this heading.
+    fn step_at_rest(filter: &mut FineFilter<f32>, heading: f32, k: &mut u32) -> Option<Innovation<f32>> {
+        let dt = 0.05;
+        let earth = filter.earth;
+        let c_nb = Rot::<Nav, Body, f32>::from_yaw_pitch_roll(heading, 0.01, -0.02);
+        let c_ns = c_nb * Rot::about_z(0.35 * f32::lit(f64::from(*k) * dt));
+        *k += 1;
+        let increment = Increment {
+            phi_s: Vec3::new(0.0, 0.0, f32::lit(0.35 * dt)) + c_ns.inverse() * earth.w_ie_n() * f32::lit(dt),
+            dv_s: c_ns.inverse() * earth.g_n() * f32::lit(-dt),
+            dt: f32::lit(dt),
+        };
+        filter.step(&increment, 0.35 * f32::lit(f64::from(*k) * dt))
+    }
+
     /// The same heading and σ of it, to the loop's closing and beyond.
     #[test]
     fn closing_the_loop_changes_no_estimate() {
         let mut filter = filter::<ROBUST>(Method::Kalman);
-        let c_nb = Rot::<Nav, Body, f32>::from_yaw_pitch_roll(1.3, 0.01, -0.02);
         let mut k = 0;
-        let mut step = |filter: &mut FineFilter<f32>| {
-            let dt = 0.05;
-            let earth = filter.earth;
-            let c_ns = c_nb * Rot::about_z(0.35 * f32::lit(f64::from(k) * dt));
-            k += 1;
-            let increment = Increment {
-                phi_s: Vec3::new(0.0, 0.0, f32::lit(0.35 * dt)) + c_ns.inverse() * earth.w_ie_n() * f32::lit(dt),
-                dv_s: c_ns.inverse() * earth.g_n() * f32::lit(-dt),
-                dt: f32::lit(dt),
-            };
-            filter.step(&increment, 0.35 * f32::lit(f64::from(k) * dt))
-        };
+        let mut step = |filter: &mut FineFilter<f32>| step_at_rest(filter, 1.3, &mut k);
         while filter.heading_var() > f32::lit(CLOSING_SD * CLOSING_SD) {
             step(&mut filter);
         }
@@ -1388,6 +1391,57 @@ mod tests {
             step(&mut filter);
         }
         assert!(filter.is_sound() && filter.heading_var() < sd_after[(2, 2)]);
+    }
+
+    /// The model holds about the direction that Earth's rate is taken to have: half a degree is the most that the estimate may
+    /// be off it, however far off the start was.
+    #[test]
+    fn the_frame_follows_the_direction_of_earths_rate() {
+        let heading = 1.3;
+        let c_nb = Rot::<Nav, Body, f32>::from_yaw_pitch_roll(heading, 0.01, -0.02);
+        let start = filter::<ROBUST>(Method::Kalman);
+        for off in [0.6_f32, -1.5] {
+            let c_ns = Rot::exp(Vec3::new(0.0, 0.0, off)) * c_nb * Rot::about_z(0.0);
+            let mut filter = FineFilter::new(start.config, start.earth, c_ns, None).unwrap();
+            let (mut k, mut measured) = (0, 0);
+            while k < 3000 {
+                if step_at_rest(&mut filter, heading, &mut k).is_none() {
+                    continue;
+                }
+                measured += 1;
+                filter.find_north();
+                let angle = filter.north.best.angle;
+                assert!(angle.abs() < f32::lit(0.501 * DEG), "{k}: {angle}");
+            }
+            assert!(measured > 20, "{measured}");
+            let frame = filter.strapdown.c_ns.get() * Rot::about_z(0.35 * f32::lit(f64::from(k) * 0.05)).inverse();
+            let left = frame.angle_to(c_nb);
+            assert!(left < 3.0 * math::sqrt(filter.heading_var()) + 0.02, "{left}");
+        }
+    }
+
+    /// Another heading counts up to 4σ behind the best: one at 3σ holds the loop open, one at 5σ does not.
+    #[test]
+    fn another_heading_keeps_the_loop_open_until_it_is_four_sigma_behind() {
+        let mut filter = filter::<ROBUST>(Method::Kalman);
+        let mut k = 0;
+        while filter.heading_var() > f32::lit(CLOSING_SD * CLOSING_SD) {
+            step_at_rest(&mut filter, 1.3, &mut k);
+        }
+        let best = filter.north.best;
+        let mut with_other = |sigmas: f32| {
+            filter.north.other = Some(Direction {
+                angle: best.angle + 1.0,
+                cost: best.cost + sigmas * sigmas,
+            });
+            filter
+        };
+        assert!(!with_other(5.0).is_ambiguous());
+        let mut first = with_other(3.0);
+        assert!(first.is_ambiguous());
+        let mut second = first;
+        let behind = first.split(&mut second);
+        assert!((behind - 9.0).abs() < 0.5, "{behind}");
     }
 
     /// A knock that is gone a second later is refused and counted; a base that begins to sway is soon believed.
