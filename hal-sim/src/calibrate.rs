@@ -14,7 +14,7 @@ use nav::calibration::{self, Calibration, CalibrationConfig, CalibrationError, C
 use nav::earth::{Earth, EarthError};
 use serde::Serialize;
 
-use crate::log::{ConvertError, LogError, LogReader, LogRow, convert_from};
+use crate::log::{ConvertError, DelayEstimator, ImuDelay, LogError, LogReader, LogRow, convert_from};
 use crate::unit::Unit;
 
 /// How long before the rotor is seen to turn it may have begun, s. It is seen once it has left the travel allowed at rest,
@@ -111,10 +111,13 @@ pub struct Report {
     pub induced_sd_deg_h: f64,
     /// Variance of the worst axis' residuals over the predicted one.
     pub scatter: f64,
+    /// How late the IMU's samples are against the encoder: what the unit's `edge_delay_us` is short of. `null` where the rotor
+    /// never turned round.
+    pub imu_delay: Option<ImuDelay>,
 }
 
 impl Report {
-    fn new(c: &Calibration<f64>, unit: &Unit) -> Self {
+    fn new(c: &Calibration<f64>, unit: &Unit, imu_delay: Option<ImuDelay>) -> Self {
         let arw = unit.angle_random_walk_deg_sqrt_h * DEG_PER_SQRT_HOUR;
         let rate = c.turned / c.turn;
         Self {
@@ -132,6 +135,7 @@ impl Report {
             rate_dps: rate / DEG,
             induced_sd_deg_h: c.induced_sd(rate) / DEG_PER_HOUR,
             scatter: c.scatter,
+            imu_delay,
         }
     }
 
@@ -161,10 +165,14 @@ impl Report {
         ] {
             text += &format!("{name:<18}{value:>14.3}{sd:>12.3}{paper:>14.3}\n");
         }
-        text + &format!(
+        text += &format!(
             "left of the rotor's turn in a gyro: {:.2} °/h (1σ, by noise)\n",
             self.induced_sd_deg_h
-        )
+        );
+        if let Some(delay) = self.imu_delay {
+            text += &format!("{delay}\n");
+        }
+        text
     }
 }
 
@@ -211,10 +219,14 @@ pub fn of_reader<R: BufRead>(
     let mut calibrator = Calibrator::new(config)?;
     let (mut stand, mut turning) = (None, false);
     let (mut latest, mut length) = (VecDeque::new(), 0.0);
+    let (mut delay, mut previous) = (DelayEstimator::default(), None);
     // Why the best of the rests so far is none.
     let mut refused: Option<CalibrationError> = None;
     for row in log {
         let row = row?;
+        if let Some(previous) = previous.replace(row) {
+            delay.push(&row, &previous);
+        }
         let sample = (row.sample(), row.encoder);
         if turning {
             calibrator.turn(&sample.0, sample.1)?;
@@ -253,7 +265,7 @@ pub fn of_reader<R: BufRead>(
             .map_or(CalibrateError::NoTurn, CalibrateError::Calibration));
     }
     let calibration = calibrator.finish()?;
-    Ok((calibration, Report::new(&calibration, &setup.unit)))
+    Ok((calibration, Report::new(&calibration, &setup.unit, delay.fit())))
 }
 
 /// Of two rests that are none, what to tell: that the base moved, or that the longer one was too short.

@@ -26,6 +26,7 @@ mod csv;
 pub mod format;
 #[cfg(test)]
 mod format_tests;
+mod delay;
 #[cfg(test)]
 mod tests;
 mod time;
@@ -41,6 +42,7 @@ use nav::increment::Sample;
 pub use binary::{Header, Loss, Lost, UnitStatus};
 pub use check::{Checker, LogWarning, WarningKind};
 pub use format::Format;
+pub use delay::{DelayEstimator, ImuDelay};
 
 /// The columns every log has, in the order they are written.
 pub const COLUMNS: [&str; 8] = [

@@ -16,7 +16,7 @@ use nav::rotor::RotorConfig;
 use serde::Serialize;
 
 use crate::align::{self, Method, Reading, Setup};
-use crate::log::{Checker, Header, LogError, LogReader, LogRow, LogWarning, UnitStatus};
+use crate::log::{Checker, Header, ImuDelay, LogError, LogReader, LogRow, LogWarning, UnitStatus};
 use crate::unit::Unit;
 
 /// Angles of the encoder beyond this are wrapped, rad: up to there an f32 is good to 4e-6 rad.
@@ -80,6 +80,9 @@ pub struct Replay {
     pub gyro_bias_deg_h: Option<[f64; 3]>,
     /// Accelerometer biases in s.
     pub accel_bias_ug: Option<[f64; 3]>,
+    /// How late the IMU's samples are against the encoder: what the unit's `edge_delay_us` is short of. `null` where the rotor
+    /// never turned round.
+    pub imu_delay: Option<ImuDelay>,
     /// Why it is not aligned.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
@@ -322,6 +325,7 @@ fn replay_with<const B: usize, R: BufRead>(
     while let Some(status) = log.next_status() {
         observer.status(&status);
     }
+    let imu_delay = checker.imu_delay();
     for warning in checker.finish()?.iter().skip(warned).chain(&log.warnings()) {
         observer.warning(warning);
     }
@@ -348,6 +352,10 @@ fn replay_with<const B: usize, R: BufRead>(
         roll_sd_deg: angle(|r| r.sd.roll_deg),
         gyro_bias_deg_h: reading.as_ref().map(|r| r.gyro_bias_deg_h.map(round)),
         accel_bias_ug: reading.as_ref().map(|r| r.accel_bias_ug.map(round)),
+        imu_delay: imu_delay.map(|ImuDelay { delay_s, sd_s }| ImuDelay {
+            delay_s: round(delay_s * 10.0) / 10.0,
+            sd_s: round(sd_s * 10.0) / 10.0,
+        }),
         reason,
     })
 }

@@ -278,6 +278,9 @@ table! {
             gyro_step_deg_h: [f64; 3] = [0.0; 3], [-100000.0, 100000.0];
             /// … and when it comes, s.
             gyro_step_at_s: f64 = 0.0, [0.0, 360000.0];
+            /// What the samples are later by than the unit is told of its IMU, ms; negative: less late, in `unit` down to no
+            /// delay at all.
+            imu_delay_ms: f64 = 0.0, [-20.0, 20.0];
             /// Least significant bit of the angle increments, rad. The remainder is carried. Zero: none.
             gyro_quantum: f64 = 0.0, [0.0, 0.01];
             /// Least significant bit of the velocity increments, m/s. The remainder is carried. Zero: none.
@@ -554,6 +557,13 @@ impl Default for Scenario {
             buses: Buses::default(),
             fault: Vec::new(),
         }
+    }
+}
+
+impl Errors {
+    /// [`imu_delay_ms`](Self::imu_delay_ms) in microseconds.
+    pub fn imu_delay_us(&self) -> i64 {
+        (self.imu_delay_ms * 1e3).round() as i64
     }
 }
 

@@ -163,11 +163,11 @@ fn calibrated(scenario: &Scenario, encoder: &Encoder, seed: u64) -> Result<(Imu,
         w_ie_b: Some(resting.c_nb(0.0).inverse() * resting.w_ie_n()),
         ..CalibrationConfig::default()
     })?;
+    let late = scenario.errors.imu_delay_ms * 1e-3;
     let mut measure = |truth: &Truth, k: u64| {
         let (t0, t) = (scenario.time(k - 1), scenario.time(k));
         let dt = t - t0;
-        let (dtheta_s, dv_s) = truth.increment(t0, t);
-        imu.rotor_at(truth.rotor_angle(0.5 * (t0 + t)));
+        let (dtheta_s, dv_s) = exact(truth, &mut imu, t0 - late, t - late);
         let measured = imu.measure(dtheta_s, dv_s, dt);
         let sample = Sample {
             dtheta_s: measured.dtheta_s,
@@ -190,6 +190,12 @@ fn calibrated(scenario: &Scenario, encoder: &Encoder, seed: u64) -> Result<(Imu,
     Ok((imu, calibration))
 }
 
+/// The exact increments from `t0` to `t1`, s, with the IMU told where the rotor is in between.
+fn exact(truth: &Truth, imu: &mut Imu, t0: f64, t1: f64) -> (Vec3<Sensor, f64>, Vec3<Sensor, f64>) {
+    imu.rotor_at(truth.rotor_angle(0.5 * (t0 + t1)));
+    truth.increment(t0, t1)
+}
+
 impl Iterator for Simulation {
     type Item = Row;
 
@@ -200,9 +206,9 @@ impl Iterator for Simulation {
         }
         self.next += 1;
         let (t0, t) = (self.scenario.time(k - 1), self.scenario.time(k));
-        let (dtheta_s, dv_s) = self.truth.increment(t0, t);
         let dt = t - t0;
-        self.imu.rotor_at(self.truth.rotor_angle(0.5 * (t0 + t)));
+        let late = self.scenario.errors.imu_delay_ms * 1e-3;
+        let (dtheta_s, dv_s) = exact(&self.truth, &mut self.imu, t0 - late, t - late);
         let measured = self.imu.measure(dtheta_s, dv_s, dt);
         let sample = Sample {
             dtheta_s: measured.dtheta_s,

@@ -1044,6 +1044,22 @@ fn a_recording_calibrates() {
     assert!(binary.iter().zip(&csv).all(close), "{binary:?} {csv:?}");
 }
 
+/// An IMU whose filters delay by 3 ms more than the unit is told is found out by the unit's recording, and one that is as told
+/// is not suspected.
+#[test]
+fn a_recording_tells_the_delay_of_its_imu() {
+    for delay_ms in [0.0, 3.0] {
+        let mut scenario = scenario("paper-sim", RATE_HZ, 110.0);
+        scenario.errors.imu_delay_ms = delay_ms;
+        let typed = ["0.1 record on".parse().unwrap()];
+        let mut port = Port::default();
+        unit_sim::run_session(&scenario, 5, Method::Robust, &typed, &mut port).unwrap();
+        let line: Vec<u8> = port.lines.iter().flat_map(|line| &line.bytes).copied().collect();
+        let found = replayed(&line, &mut Seen::default()).imu_delay.unwrap();
+        assert!((found.delay_s * 1e3 - delay_ms).abs() < 0.3, "{delay_ms}: {found}");
+    }
+}
+
 /// The unit in virtual time is told to record, and in the midst of its first alignment to align again at another place; its
 /// motor's loop stalls now and then, so that samples have no angle.
 #[test]

@@ -214,6 +214,8 @@ struct World<O> {
     end_ns: u64,
 
     buses: Buses,
+    /// What the IMU is later by than the part is made, µs.
+    late_us: i64,
     ready_rng: ChaCha8Rng,
     /// Where the sample under way began, with the rotor then, and when it is planned to end, µs.
     sample_from: (u64, RotorState<f64>),
@@ -288,6 +290,7 @@ impl<O: Observer> World<O> {
             at_ns: 0,
             end_ns: ns(setup.seconds).max(STEP_NS),
             buses: scenario.buses.clone(),
+            late_us: scenario.errors.imu_delay_us(),
             ready_rng: stream(setup.seed, Stream::DataReady),
             sample_from: (0, rotor(&plant)),
             sample_planned_us: 0,
@@ -422,10 +425,17 @@ impl<O: Observer> World<O> {
             return;
         }
         let (from_us, from) = self.sample_from;
-        let (t0, t1) = (from_us.min(now_us - 1) as f64 * 1e-6, now_us as f64 * 1e-6);
         let to = rotor(&self.plant);
-        let measured = self.exposure.sample((t0, from), (t1, to), &mut self.plant);
-        model.set_motion(motion(&measured, t1 - t0));
+        // The part's filters are behind. The rotor at most 3e-7 rad off, by the acceleration of a reversal over 0.4 ms.
+        let behind_us = self.late_us.saturating_add_unsigned(model.delay_us()).max(0);
+        let behind = behind_us as f64 * 1e-6;
+        let earlier = |us: u64, state: RotorState<f64>| {
+            let angle = state.angle - state.rate * behind;
+            (us as f64 * 1e-6 - behind, RotorState { angle, ..state })
+        };
+        let (start, end) = (earlier(from_us.min(now_us - 1), from), earlier(now_us, to));
+        let measured = self.exposure.sample(start, end, &mut self.plant);
+        model.set_motion(motion(&measured, end.0 - start.0));
         model.advance(now_us);
         let edges = model.take_data_ready();
         self.sample_from = (now_us, to);
@@ -434,7 +444,8 @@ impl<O: Observer> World<O> {
         if self.ends.len() == KEPT {
             self.ends.pop_front();
         }
-        self.ends.push_back(at.0);
+        self.ends
+            .push_back(at.0.saturating_add_signed(behind_us.saturating_mul(-1000)));
 
         // Drawn whether it is used or not: one sample, one draw.
         let jitter: f64 = self.ready_rng.sample(StandardNormal);

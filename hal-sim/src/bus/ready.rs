@@ -17,6 +17,7 @@ use crate::device::{Motion, SensorModel};
 /// |---|---|---|---|
 /// | `delay_us` | µs | the edge comes with the sample | 3 or more times the jitter, as an edge never comes early; less than a period |
 /// | `jitter_sd_us` | µs | as regular as the sample | 1 |
+/// | `late_us` | µs | samples are as late as the part is made | 0; 3000 for filters that nobody knows of |
 /// | `loss` | share of edges | none is lost | 0; 0.01 for a fault |
 /// | `width_us` | µs | the line falls at once | 50, less than a period |
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,6 +26,8 @@ pub struct DataReady {
     pub delay_us: f64,
     /// Its spread, normal, cut at zero delay.
     pub jitter_sd_us: f64,
+    /// What the samples are later by than the part is made.
+    pub late_us: i64,
     /// Probability of an edge to go unheard. [`Line::lost`] counts them.
     pub loss: f64,
     /// How long the line is high.
@@ -36,6 +39,7 @@ impl Default for DataReady {
         Self {
             delay_us: 0.0,
             jitter_sd_us: 0.0,
+            late_us: 0,
             loss: 0.0,
             width_us: 50.0,
         }
@@ -47,7 +51,7 @@ impl DataReady {
     /// over that interval, lets it latch, and raises the line. To be spawned at
     /// [`Level::World`](vtime::Level::World).
     ///
-    /// The interval begins with the sample before, or where a command began a new series of samples; the
+    /// The interval ends before that instant by the delay of the part ([`SensorModel::delay_us`]) and `late_us`. It begins with the sample before, or where a command began a new series of samples; the
     /// first one after a reset or at power-up includes the time the part took to start.
     ///
     /// The random numbers are the same whatever the settings.
@@ -88,7 +92,13 @@ impl DataReady {
             if next_us.saturating_mul(1000) > now_ns {
                 continue;
             }
-            let motion = motion(from_us.min(next_us), next_us);
+            let delay_us = self
+                .late_us
+                .saturating_add_unsigned(part.with(|model| model.delay_us()));
+            // No part is ahead of the motion.
+            let delay_us = delay_us.max(0);
+            let before = |us: u64| us.saturating_add_signed(delay_us.saturating_neg());
+            let motion = motion(before(from_us.min(next_us)), before(next_us));
             let edges = part.with(|model| {
                 model.set_motion(motion);
                 model.advance(next_us);

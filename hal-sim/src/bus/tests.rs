@@ -3,7 +3,7 @@
 use core::cell::{Cell, RefCell};
 use std::rc::Rc;
 
-use drivers::adis16495::{Adis16495 as AdisDriver, BURST_LEN, Config};
+use drivers::adis16495::{Adis16495 as AdisDriver, BURST_LEN, Config, DELAY_US};
 use drivers::motor::{Duty, MotorDriver, ThreePhase};
 use drivers::mt6835::Mt6835 as EncoderDriver;
 use drivers::{Error, Imu, Sequence};
@@ -306,7 +306,8 @@ fn the_imu_driver_samples_on_edges() {
         let at_us = *at_ns as f64 / 1e3;
         assert!((at_us - first_us - k as f64 * PERIOD_US).abs() <= 1.0);
         // The mean over the sample's own interval: to the microsecond of its ends and a count (9.5e-8 °/s).
-        assert!((rate - (at_us - PERIOD_US / 2.0) / 1e6).abs() < 1.2e-6, "{k} {rate}");
+        let middle_us = at_us - f64::from(DELAY_US) - PERIOD_US / 2.0;
+        assert!((rate - middle_us / 1e6).abs() < 1.2e-6, "{k} {rate}");
     }
 }
 

@@ -241,6 +241,9 @@ pub(super) fn replay(result: &Replay) -> String {
     if let (Some([gx, gy, gz]), Some([ax, ay, az])) = (result.gyro_bias_deg_h, result.accel_bias_ug) {
         text += &format!("gyro bias  {gx:8.2} {gy:8.2} {gz:8.2} °/h\naccel bias {ax:8.1} {ay:8.1} {az:8.1} µg\n");
     }
+    if let Some(delay) = result.imu_delay {
+        text += &format!("{delay}\n");
+    }
     text
 }
 

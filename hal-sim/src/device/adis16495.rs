@@ -4,11 +4,11 @@
 //! stall between frames; bursts with one or two identifiers by the bus clock; CRC; decimation; DATA_CNT;
 //! data-ready; power-up, software reset and self-test in time; flags that clear when read.
 //!
-//! Not modelled: the FIR filters (the setting is kept, no more), bias and scale registers, flash.
+//! Not modelled: the FIR filters (the setting is kept, no more), what the sensors' bandwidth does beyond a delay, bias and scale registers, flash.
 
 use drivers::adis16495::{
-    BASE_RATE_HZ, BURST_COMMAND, BURST_ID, BURST_MAX_HZ, BURST_WORDS, FORCE_PER_COUNT, FORCE_RANGE_COUNTS, POWER_UP_MS,
-    PRODUCT, RANGE_125_DPS, RATE_PER_COUNT, RATE_RANGE_COUNTS, RESET_MS, Register, SELF_TEST_MS,
+    BASE_RATE_HZ, BURST_COMMAND, BURST_ID, BURST_MAX_HZ, BURST_WORDS, DELAY_US, FORCE_PER_COUNT, FORCE_RANGE_COUNTS,
+    POWER_UP_MS, PRODUCT, RANGE_125_DPS, RATE_PER_COUNT, RATE_RANGE_COUNTS, RESET_MS, Register, SELF_TEST_MS,
     TEMPERATURE_PER_COUNT_C, TEMPERATURE_ZERO_C, TWO_IDS_ABOVE_HZ, WRITE, burst_crc, command, function, register,
 };
 use drivers::{Channels, SystemFlags};
@@ -305,6 +305,10 @@ impl SensorModel for Adis16495 {
         while self.samples.tick(now_us) {
             self.latch();
         }
+    }
+
+    fn delay_us(&self) -> u64 {
+        u64::from(DELAY_US)
     }
 
     fn next_ready_us(&self) -> u64 {

@@ -5,7 +5,7 @@
 //! ranges, which end at −32766 and +32767, rates and quantisation; the data-ready bit that reading clears, and the line with the conditions under which it works; the response to
 //! self-test.
 //!
-//! Not modelled: FIFO, filters (the settings are kept, no more), AFSR, low-power modes.
+//! Not modelled: FIFO, filters but for their delay at the settings of the driver, AFSR, low-power modes.
 
 use drivers::icm42688::{
     DATA_LEN, DATA_READY_ON_INT1, ForceRange, INVALID, LOWEST, READ, Rate, RateRange, Register, SOFT_RESET, START_MS,
@@ -40,6 +40,7 @@ pub struct Icm42688 {
     rate_from_us: Option<u64>,
     force_from_us: Option<u64>,
     samples: SampleClock,
+    rate: Rate,
     motion: Motion,
     edges: u32,
 }
@@ -55,6 +56,7 @@ impl Icm42688 {
             rate_from_us: None,
             force_from_us: None,
             samples: SampleClock::new(0, 1, BASE_HZ),
+            rate: Rate::Hz1000,
             motion: Motion::default(),
             edges: 0,
         };
@@ -74,6 +76,7 @@ impl Icm42688 {
         self.rate_from_us = None;
         self.force_from_us = None;
         self.samples = SampleClock::new(self.ready_from_us, 1, BASE_HZ);
+        self.rate = Rate::Hz1000;
         for (register, value) in [
             (register::DRIVE_CONFIG, 0x05),
             (register::INTF_CONFIG0, 0x30),
@@ -207,8 +210,8 @@ impl Icm42688 {
     }
 
     fn restart_clock(&mut self, now_us: u64) {
-        let rate = Rate::from_code(*self.at(register::GYRO_CONFIG0)).unwrap_or(Rate::Hz1000);
-        self.samples = SampleClock::new(now_us, u64::from(rate.period_us()) / 1000, BASE_HZ);
+        self.rate = Rate::from_code(*self.at(register::GYRO_CONFIG0)).unwrap_or(Rate::Hz1000);
+        self.samples = SampleClock::new(now_us, u64::from(self.rate.period_us()) / 1000, BASE_HZ);
     }
 }
 
@@ -248,6 +251,10 @@ impl SensorModel for Icm42688 {
             }
             self.latch(due);
         }
+    }
+
+    fn delay_us(&self) -> u64 {
+        u64::from(self.rate.delay_us())
     }
 
     fn next_ready_us(&self) -> u64 {
@@ -319,6 +326,7 @@ mod tests {
                 part.take_data_ready();
             });
             let begin = bench.now_us();
+            assert_eq!(bench.with(|part| part.delay_us()), u64::from(imu.delay_us()));
             for _ in 0..100 {
                 wait_for_edge(&bench);
                 let raw = block_on(imu.sample()).unwrap();

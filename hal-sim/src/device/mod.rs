@@ -6,8 +6,8 @@
 //! world by the simulator.
 //!
 //! An IMU model latches one sample a period. The simulator asks [`SensorModel::next_ready_us`], puts the
-//! mean rate and specific force over the period into [`SensorModel::set_motion`], errors of the sensors
-//! included, calls [`SensorModel::advance`], and raises the data-ready edges it takes from
+//! mean rate and specific force over a period that ended [`SensorModel::delay_us`] earlier into [`SensorModel::set_motion`],
+//! errors of the sensors included, calls [`SensorModel::advance`], and raises the data-ready edges it takes from
 //! [`SensorModel::take_data_ready`]. What a part averages or filters inside its period is thereby in the
 //! simulator's hands, exact and cheap; the models add what lies between sensor and wire: ranges,
 //! quantisation, counters, flags, check sums.
@@ -57,6 +57,9 @@ pub trait SensorModel: SpiTarget {
 
     /// Latches every sample due until `now_us`.
     fn advance(&mut self, now_us: u64);
+
+    /// How long before it is latched the interval ended that a sample is the mean of, µs: the delay of the part's filters.
+    fn delay_us(&self) -> u64;
 
     /// When the next sample will be latched, µs.
     fn next_ready_us(&self) -> u64;

@@ -4,11 +4,10 @@
 //! window, so that one odd row decides nothing: accelerometers over [`UNIT_WINDOW`], gyro z against the encoder over
 //! each [`ROTOR_WINDOW`] and over the whole.
 
-use std::collections::VecDeque;
-
 use frames::math::wrap_pi;
 use nalgebra::{Matrix3, Vector3};
 
+use super::delay::{DelayEstimator, ImuDelay};
 use super::{COLUMNS, LogError, LogProblem, LogRow, Lost, Place};
 
 /// Time over which the accelerometers' mean norm is taken, s.
@@ -52,11 +51,9 @@ const GRAVITY_Z: f64 = 9.8;
 const SAME: f64 = 0.1;
 /// Angles that are held may be this far behind on average, rad: a tenth of a degree goes into heading as it is.
 const BEHIND: f64 = 1.75e-3;
-/// An encoder may be so far behind gyro z, or ahead of it, rad: that goes into heading in full. So many times its 1σ it must be;
-/// and the time over which both are differenced, s: a base hardly changes its rate in that, a rotor turns round.
+/// An encoder may be so far behind gyro z, or ahead of it, rad: that goes into heading in full. So many times its 1σ it must be.
 const LATE: f64 = 8.7e-3;
 const LATE_SIGMAS: f64 = 6.0;
-const LATE_DIFFERENCE: f64 = 0.2;
 /// No rotor of this kind turns faster, rad/s (460 °/s); in degrees it is 8 °/s.
 const FAST: f64 = 8.0;
 /// No sensor reads more, rad/s; the aligner takes no more.
@@ -483,55 +480,6 @@ impl Scale {
     }
 }
 
-/// How late the encoder is. Late by `δ`, it leaves `δ α̇` between the angle of gyro z and its own, which changes where the rotor turns
-/// round. By least squares over the log, of second differences over [`LATE_DIFFERENCE`], in which the base's own yaw all but goes away.
-#[derive(Debug, Clone, Default)]
-struct Delay {
-    /// Of the last rows: what the encoder turned by, and what gyro z turned by beyond that.
-    rows: VecDeque<(f64, f64)>,
-    xx: f64,
-    xy: f64,
-    yy: f64,
-    count: f64,
-    /// Rows in a difference.
-    lag: usize,
-}
-
-impl Delay {
-    fn push(&mut self, row: &LogRow, previous: &LogRow) {
-        let turned = wrap_pi(row.encoder - previous.encoder);
-        self.lag = ((LATE_DIFFERENCE / row.dt_s).round() as usize).clamp(3, 1000);
-        self.rows.push_back((turned, row.w_is_s.z() * row.dt_s - turned));
-        let wanted = 2 * self.lag + 1;
-        let more = self.rows.len().saturating_sub(wanted);
-        self.rows.drain(..more);
-        if self.rows.len() < wanted {
-            return;
-        }
-        let beyond = |from: usize| self.rows.range(from..from + self.lag).map(|row| row.1).sum::<f64>();
-        let y = beyond(self.lag + 1) - beyond(1);
-        let x = (self.rows[2 * self.lag].0 - 2.0 * self.rows[self.lag].0 + self.rows[0].0) / row.dt_s;
-        self.xx += x * x;
-        self.xy += x * y;
-        self.yy += y * y;
-        self.count += 1.0;
-    }
-
-    /// Rows that do not follow one another.
-    fn interrupt(&mut self) {
-        self.rows.clear();
-    }
-
-    /// How late it is, and the 1σ of that, s. `None` where the rotor never turned round.
-    fn fit(&self) -> Option<(f64, f64)> {
-        let delay = self.xy / self.xx;
-        let left = (self.yy - delay * self.xy).max(0.0) / self.count;
-        // Neighbours have most of a difference in common.
-        let sd = (left * 2.0 * self.lag as f64 / self.xx).sqrt();
-        (delay.is_finite() && sd.is_finite()).then_some((delay, sd))
-    }
-}
-
 /// The turn of the housing by the gyros against that by the accelerometers, which see gravity move: df/dt = −ω × f.
 #[derive(Debug, Clone, Copy, Default)]
 struct Gravity {
@@ -609,7 +557,7 @@ pub struct Checker {
     /// Gyro z against the encoder over the log, by the window and by the row.
     turning: Turning,
     scale: Scale,
-    delay: Delay,
+    delay: DelayEstimator,
     /// Gyros against accelerometers over the log.
     gravity: Gravity,
     warnings: Vec<LogWarning>,
@@ -632,7 +580,7 @@ impl Checker {
             mismatch: None,
             turning: Turning::default(),
             scale: Scale::default(),
-            delay: Delay::default(),
+            delay: DelayEstimator::default(),
             gravity: Gravity::default(),
             warnings: Vec::new(),
         }
@@ -649,6 +597,11 @@ impl Checker {
             at: Some(at),
             problem,
         }
+    }
+
+    /// How late the IMU is against the encoder so far; `None` where the rotor never turned round.
+    pub fn imu_delay(&self) -> Option<ImuDelay> {
+        self.delay.fit()
     }
 
     /// Takes the next row.
@@ -681,9 +634,9 @@ impl Checker {
         {
             window.push(row, &previous);
             self.scale.push(row, &previous);
+        }
+        if let Some(previous) = previous {
             self.delay.push(row, &previous);
-        } else {
-            self.delay.interrupt();
         }
         self.gravity.push(row);
         if row.t_s - first.t_s >= UNIT_WINDOW {
@@ -906,10 +859,11 @@ impl Checker {
             return Err(self.error(at, LogProblem::Mismatch(scale)));
         }
         let rate = self.turning.path / self.turning.time;
-        if let Some((delay, sd)) = self.delay.fit().filter(|_| self.turning.time > LOG_TURNING)
-            && (delay * rate).abs() > LATE
-            && delay.abs() > LATE_SIGMAS * sd
+        if let Some(ImuDelay { delay_s, sd_s }) = self.delay.fit().filter(|_| self.turning.time > LOG_TURNING)
+            && (delay_s * rate).abs() > LATE
+            && delay_s.abs() > LATE_SIGMAS * sd_s
         {
+            let delay = -delay_s;
             return Err(self.error(at, LogProblem::EncoderLate { delay, rate }));
         }
         if self.gravity.is_reversed() {

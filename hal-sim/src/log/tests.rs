@@ -3,7 +3,8 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::scenario::Scenario;
-use crate::sensors::{Encoder, Imu};
+use crate::sensors::Imu;
+use crate::simulate::Simulation;
 use crate::truth::Truth;
 
 const HEADER: &str = "t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2,encoder_rad";
@@ -39,15 +40,10 @@ fn good(rows: u32) -> String {
 
 /// A run written as a log.
 fn log_of(scenario: &Scenario, seed: u64) -> String {
-    let truth = Truth::new(scenario, seed).unwrap();
-    let (mut imu, encoder) = (Imu::new(scenario, seed), Encoder::new(scenario));
     let mut log = LogWriter::new(Vec::new(), false).unwrap();
-    for k in 1..=scenario.samples() {
-        let (t0, t1) = (scenario.time(k - 1), scenario.time(k));
-        let (dtheta, dv) = truth.increment(t0, t1);
-        let m = imu.measure(dtheta, dv, t1 - t0);
-        let alpha = encoder.measure(truth.rotor_angle(t1));
-        log.write(t1, t1 - t0, m.dtheta_s, m.dv_s, alpha, None).unwrap();
+    for row in Simulation::new(scenario, seed).unwrap() {
+        let Sample { dtheta_s, dv_s, dt, .. } = row.sample;
+        log.write(row.t, dt, dtheta_s, dv_s, row.encoder, None).unwrap();
     }
     String::from_utf8(log.finish().unwrap()).unwrap()
 }
@@ -779,6 +775,62 @@ fn encoders_that_are_late_or_early() {
         let told = shifted(6).unwrap_err();
         assert!(["some 5", "some 6"].iter().any(|ms| told.contains(ms)), "{told}");
     }
+}
+
+fn imu_delay(scenario: &Scenario) -> Option<ImuDelay> {
+    let mut checker = Checker::new("l.csv");
+    for row in rows(log_of(scenario, 4)) {
+        checker.push(&row.unwrap()).unwrap();
+    }
+    checker.imu_delay()
+}
+
+#[test]
+fn an_imus_delay_is_found_where_the_rotor_turns_round() {
+    let part = crate::unit::Unit::find("icm42688").unwrap();
+    for (name, seconds) in [("static", 60.0), ("paper-sim", 300.0), ("lively-floor", 120.0)] {
+        for delay_ms in [-3.0, -0.4, 0.0, 3.0] {
+            let mut scenario = scenario(name, seconds);
+            // With a scale factor of half a percent, misalignments, and an encoder of the unit's kind.
+            scenario.imu = part.clone();
+            scenario.encoder.bits = 21;
+            scenario.errors.imu_delay_ms = delay_ms;
+            let found = imu_delay(&scenario).unwrap();
+            let (found_ms, sd_ms) = (found.delay_s * 1e3, found.sd_s * 1e3);
+            let off = (found_ms - delay_ms).abs();
+            assert!(
+                off < 0.3 && off < 3.0 * sd_ms + 0.02,
+                "{name} {delay_ms}: {found_ms} ± {sd_ms}"
+            );
+            assert!(sd_ms < 0.3, "{name}: {sd_ms}");
+        }
+    }
+    // Gaps cost what lies around them and no more.
+    let mut scenario = scenario("static", 60.0);
+    scenario.errors.imu_delay_ms = 3.0;
+    let text = log_of(&scenario, 4);
+    let gaps: String = text
+        .lines()
+        .enumerate()
+        .filter(|(k, _)| k % 700 >= 20 || *k == 0)
+        .flat_map(|(_, line)| [line, "\n"])
+        .collect();
+    let mut checker = Checker::new("l.csv");
+    rows(gaps)
+        .into_iter()
+        .for_each(|row| checker.push(&row.unwrap()).unwrap());
+    let found = checker.imu_delay().unwrap();
+    assert!((found.delay_s - 3e-3).abs() < 1e-4, "{found:?}");
+}
+
+#[test]
+fn a_rotor_that_never_turns_round_tells_no_delay() {
+    // The first turning point comes after 18 s.
+    assert_eq!(imu_delay(&scenario("static", 15.0)), None);
+    let mut resting = scenario("paper-sim", 60.0);
+    resting.rotor.rate_dps = 0.0;
+    resting.encoder.bits = 12;
+    assert_eq!(imu_delay(&resting), None);
 }
 
 #[test]

@@ -18,7 +18,7 @@
 //! | watchdog | 100 ms |
 //!
 //! Tasks cost processor time: 40 µs a poll of the motor's loop, 20 µs for sampling, 150 µs for alignment, 10 µs for
-//! supervision, 50 µs for the serial port. Not modelled: the 11 ms of a replay step, delays inside the devices.
+//! supervision, 50 µs for the serial port. Not modelled: the 11 ms of a replay step, delays inside the devices but for the IMU's.
 
 pub mod fault;
 mod made;
@@ -587,7 +587,7 @@ fn bench<const B: usize>(
         rotor,
         filter: aligner.filter,
         sampling: SamplingConfig {
-            edge_delay_us: scenario.buses.edge_delay_us.round() as u32,
+            edge_delay_us: scenario.buses.edge_delay_us.round() as i32,
             ..SamplingConfig::default()
         },
         tasks: Rc::default(),
@@ -618,6 +618,7 @@ fn spawn_world<const B: usize>(
     let ready = DataReady {
         delay_us: scenario.buses.edge_delay_us,
         jitter_sd_us: scenario.buses.edge_jitter_us,
+        late_us: scenario.errors.imu_delay_us(),
         loss: scenario.buses.edge_loss,
         ..DataReady::default()
     };
@@ -628,7 +629,7 @@ fn spawn_world<const B: usize>(
         let (from_us, to_us) = (from_us.min(to_us.saturating_sub(1)), to_us);
         let (t0, t1) = (from_us as f64 * 1e-6, to_us as f64 * 1e-6);
         let dt = t1 - t0;
-        world.at(to_us * 1000, |physics| {
+        world.now(|physics| {
             let (from, to) = (physics.rotor_at(from_us * 1000), physics.rotor_at(to_us * 1000));
             let measured = exposure.sample((t0, from), (t1, to), &mut physics.plant);
             if record.borrow().aligning_at_us.is_some() {

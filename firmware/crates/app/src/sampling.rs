@@ -39,7 +39,7 @@ const START_TIMEOUT: Duration = Duration::from_secs(3);
 ///
 /// | field | unit | zero means | sane value |
 /// |---|---|---|---|
-/// | `edge_delay_us` | µs | the edge comes at the end of the interval | the part's |
+/// | `edge_delay_us` | µs | samples are as late as [`Imu::delay_us`] says | 0, until it has been measured |
 /// | `silent_periods` | periods | every edge is late | 5 |
 /// | `transfers` | | the first one is a fault | 3 |
 /// | `saturated` | samples | the first one is a fault | 5 |
@@ -49,8 +49,9 @@ const START_TIMEOUT: Duration = Duration::from_secs(3);
 /// | `clock_tolerance` | share | every clock is a fault | 0.02; the ICM-42688-P's 0.04 |
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SamplingConfig {
-    /// From the end of a sample's interval to its edge, µs.
-    pub edge_delay_us: u32,
+    /// How much later than the part says a sample's edge comes after the end of its interval, µs; negative: less late.
+    /// `hal-sim calibrate` measures it.
+    pub edge_delay_us: i32,
     /// Periods without an edge that make a silent IMU.
     pub silent_periods: u16,
     /// Failed transfers in a row that make a fault.
@@ -380,7 +381,8 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
                 return;
             }
         };
-        let t_us = edge.t_us.saturating_sub(u64::from(self.config.edge_delay_us));
+        let delay_us = i64::from(imu.delay_us()) + i64::from(self.config.edge_delay_us);
+        let t_us = edge.t_us.saturating_add_signed(-delay_us);
         let arrival = self.tracker.arrive(raw.sequence, edge.t_us);
         let tally = self.tracker.tally();
         shared.count(|counts| {

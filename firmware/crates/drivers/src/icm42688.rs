@@ -39,13 +39,15 @@
 //! | with FIFO_HOLD_LAST_DATA_EN off a valid sample is −32766 to +32767, −32768 marks invalid data | data sheet DS-000347, 12.8, as public code quotes it |
 //! | slew rates of the outputs, codes of DRIVE_CONFIG | Linux `inv_icm42600.h`, whose SPI code takes the same codes |
 //! | clock ±1.5 %, and ±2 % over temperature | data sheet DS-000347, electrical characteristics; not at hand |
+//! | delay of the UI filters at each rate, bandwidth and order of the anti-alias filters | data sheet DS-000347 rev. 1.8, 5.5 and 5.3 |
+//! | UI filters are of second order after reset, GYRO_CONFIG1 0x16, which is not written here | public drivers |
 //! | self-test: ±250 °/s and ±2 g, 60 °/s, 50 to 1200 mg, 200 ms | TDK `Ixm42xxxSelfTest.c` (IIM-42652, same family) |
 //!
 //! # Not verified
 //!
 //! Nothing here has run on a part. Open in particular: that one burst never mixes two samples; that
-//! INT_STATUS read at the end of the burst behaves as in a read of its own; the bits of the UI filter
-//! bandwidth. The self-test compares with the absolute limits only, not with the factory's
+//! INT_STATUS read at the end of the burst behaves as in a read of its own; the delay of the anti-alias filter, which the data
+//! sheet does not state: that of a Butterworth filter is taken. The self-test compares with the absolute limits only, not with the factory's
 //! stored response.
 //!
 //! Not used: FIFO, external clock, the motion functions.
@@ -322,6 +324,22 @@ impl Rate {
         }
     }
 
+    /// What both filters delay beyond half a period, µs: UI filter of second order, code 0, + anti-alias filter, √2/2πf of a
+    /// Butterworth filter of second order, − half a period.
+    ///
+    /// ```text
+    ///  200 Hz   3.3 + 2.68 − 2.5 ms
+    ///  500 Hz   1.3 + 1.06 − 1.0
+    /// 1000 Hz   0.7 + 0.46 − 0.5
+    /// ```
+    pub const fn delay_us(self) -> u32 {
+        match self {
+            Self::Hz200 => 3480,
+            Self::Hz500 => 1360,
+            Self::Hz1000 => 660,
+        }
+    }
+
     /// DELT, DELTSQR and BITSHIFT of the anti-alias filter: the widest below half the rate.
     const fn anti_alias(self) -> (u8, u8, u8) {
         match self {
@@ -584,6 +602,10 @@ impl<SPI: SpiDevice, D: DelayNs> Imu for Icm42688<SPI, D> {
 
     fn period(&self) -> f32 {
         self.config.rate.period_us() as f32 * 1e-6
+    }
+
+    fn delay_us(&self) -> u32 {
+        self.config.rate.delay_us()
     }
 }
 

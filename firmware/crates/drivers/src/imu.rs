@@ -333,6 +333,10 @@ pub trait Imu {
     /// Nominal time from one sample to the next in the present configuration, s.
     fn period(&self) -> f32;
 
+    /// How long before its data-ready edge the interval ended that a sample is the mean of, in the present configuration,
+    /// µs: what the part's filters delay beyond the half period of that mean.
+    fn delay_us(&self) -> u32;
+
     /// Samples of the part's own that make one that it puts out, in the present configuration, where its counter may
     /// count either: see [`learn`](crate::sequence::SampleTracker::learn). One where that is no question.
     fn base_samples(&self) -> NonZeroU16 {
