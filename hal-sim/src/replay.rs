@@ -353,8 +353,8 @@ fn replay_with<const B: usize, R: BufRead>(
         gyro_bias_deg_h: reading.as_ref().map(|r| r.gyro_bias_deg_h.map(round)),
         accel_bias_ug: reading.as_ref().map(|r| r.accel_bias_ug.map(round)),
         imu_delay: imu_delay.map(|ImuDelay { delay_s, sd_s }| ImuDelay {
-            delay_s: round(delay_s * 10.0) / 10.0,
-            sd_s: round(sd_s * 10.0) / 10.0,
+            delay_s: (delay_s * 1e7).round() / 1e7,
+            sd_s: (sd_s * 1e7).round() / 1e7,
         }),
         reason,
     })
