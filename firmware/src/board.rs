@@ -133,6 +133,10 @@ resources! {
         line_tx: PD5 = "USART2 TX",
         #[cfg(feature = "usart2")]
         line_rx: PD6 = "USART2 RX",
+        lamp_green: PB0 = "GPIO out",
+        lamp_blue: PB7 = "GPIO out",
+        lamp_red: PB14 = "GPIO out",
+        button: PC13 = "GPIO in",
         held_low: PA12 = "GPIO out",
     }
     units {
@@ -205,6 +209,10 @@ pub struct Board {
     pub driver: MotorDriver<Output<'static>, Flex<'static>>,
     /// The home switch: common to 3V3, so that a broken wire reads low on both.
     pub home: ChangeOver<Input<'static>, Input<'static>>,
+    /// Lamps: green, blue, red.
+    pub lamps: [Output<'static>; 3],
+    /// The button, high where pressed.
+    pub button: Input<'static>,
     /// The serial port: NMEA 0183 out.
     pub serial_tx: SerialTx,
     /// The serial port: commands in.
@@ -334,6 +342,12 @@ impl Board {
                 below: Input::new(pins.home_below, Pull::Down),
                 above: Input::new(pins.home_above, Pull::Down),
             },
+            lamps: [
+                Output::new(pins.lamp_green, Level::Low, Speed::Low),
+                Output::new(pins.lamp_blue, Level::Low, Speed::Low),
+                Output::new(pins.lamp_red, Level::Low, Speed::Low),
+            ],
+            button: Input::new(pins.button, Pull::Down),
             serial_tx,
             serial_rx: serial_rx.into_ring_buffered(RECEIVED.init([0; RECEIVE])),
             watchdog,

@@ -8,6 +8,7 @@
 //!                         output       10 Hz: NMEA 0183 to the serial port
 //!                         console      commands from it, settings to flash
 //!                         report       1 Hz: what the unit does to the log
+//!                         panel        20 Hz: lamps and button
 //! ```
 //!
 //! The sampling must not wait for what runs in the thread: the IMU keeps only its last sample, and the rotor's angle at the
@@ -21,7 +22,7 @@ use app::output::Port;
 use app::rotor::{self, Rotor};
 use app::settings::{HARMONICS, OutputConfig, Settings, Store};
 use app::shared::Shared;
-use app::{alignment, console, motor, output, report, sampling, supervisor};
+use app::{alignment, console, motor, output, panel, report, sampling, supervisor};
 use drivers::harmonics::Harmonics;
 use drivers::mt6835::Mt6835;
 use embassy_executor::Spawner;
@@ -73,7 +74,7 @@ pub async fn start(spawner: Spawner, board: Board, blackbox: BlackBox<BlackBoxRa
     };
     let imu = Imu::new(board.imu, Delay);
 
-    let (Ok(motor), Ok(sampling), Ok(alignment), Ok(supervisor), Ok(output), Ok(console), Ok(report)) = (
+    let (Ok(motor), Ok(sampling), Ok(alignment), Ok(supervisor), Ok(output), Ok(console), Ok(report), Ok(panel)) = (
         motor(shared, encoder, drive, rotor(&settings), settings.encoder.correction),
         sampling(shared, imu, board.imu_ready),
         alignment(
@@ -85,6 +86,7 @@ pub async fn start(spawner: Spawner, board: Board, blackbox: BlackBox<BlackBoxRa
         output(shared, board.serial_tx, settings.output),
         console(shared, board.serial_rx, store, board.supply),
         self::report(shared),
+        panel(shared, board.lamps, board.button),
     ) else {
         defmt::unreachable!("each task is spawned once")
     };
@@ -95,6 +97,7 @@ pub async fn start(spawner: Spawner, board: Board, blackbox: BlackBox<BlackBoxRa
     spawner.spawn(output);
     spawner.spawn(console);
     spawner.spawn(report);
+    spawner.spawn(panel);
 }
 
 #[inline(never)]
@@ -162,4 +165,9 @@ async fn console(shared: &'static Bus, rx: SerialRx, store: Store<SettingsFlash>
 #[embassy_executor::task]
 async fn report(shared: &'static Bus) -> ! {
     report::run(shared).await
+}
+
+#[embassy_executor::task]
+async fn panel(shared: &'static Bus, lamps: [Output<'static>; 3], button: Input<'static>) -> ! {
+    panel::run(shared, lamps, button).await
 }

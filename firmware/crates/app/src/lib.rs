@@ -22,6 +22,7 @@
 //! | [`output`] | estimates and status → sentences on a serial line |
 //! | [`record`] | samples and status → frames of a binary log, pure |
 //! | [`tap`] | where samples leave for the record |
+//! | [`panel`] | lamps and a button |
 //! | [`report`] | what the unit does → a line of the log, once a second |
 //! | [`settings`] | the unit's settings, and their store in flash |
 //! | [`nmea_in`] | sentences of a receiver, pure |
@@ -30,9 +31,9 @@
 //!
 //! # The tasks
 //!
-//! Seven bodies, each a plain `async fn(…) -> !` generic over its hardware and the raw mutex. A board wraps each into
+//! Eight bodies, each a plain `async fn(…) -> !` generic over its hardware and the raw mutex. A board wraps each into
 //! an `#[embassy_executor::task]`: [`motor::run`] and, below it, [`sampling::run`] at interrupt level; at thread level
-//! [`alignment::run`], [`supervisor::run`], [`output::run`], [`console::run`] and [`report::run`].
+//! [`alignment::run`], [`supervisor::run`], [`output::run`], [`console::run`], [`report::run`] and [`panel::run`].
 //!
 //! A fault takes three ways at once, so that the motor is off whatever hangs: whoever finds it inhibits the motor
 //! (the motor's loop obeys at its next tick), the supervisor cuts the outputs past the loop, and a supervisor that
@@ -57,6 +58,7 @@ pub mod motor;
 pub mod nmea;
 pub mod nmea_in;
 pub mod output;
+pub mod panel;
 pub mod parts;
 pub mod record;
 pub mod report;
