@@ -23,10 +23,10 @@
 mod binary;
 mod check;
 mod csv;
+mod delay;
 pub mod format;
 #[cfg(test)]
 mod format_tests;
-mod delay;
 #[cfg(test)]
 mod tests;
 mod time;
@@ -41,8 +41,8 @@ use nav::increment::Sample;
 
 pub use binary::{Header, Loss, Lost, UnitStatus};
 pub use check::{Checker, LogWarning, WarningKind};
-pub use format::Format;
 pub use delay::{DelayEstimator, ImuDelay};
+pub use format::Format;
 
 /// The columns every log has, in the order they are written.
 pub const COLUMNS: [&str; 8] = [

@@ -303,8 +303,6 @@ table! {
             bandwidth_hz: Option<f64> = None, [0.1, 100000.0];
             /// Poles of that low-pass, all alike.
             bandwidth_poles: u32 = 1, [1.0, 2.0];
-            /// By how much the IMU's samples are older than the encoder's readings, besides what the low-pass delays, ms.
-            delay_ms: f64 = 0.0, [0.0, 100.0];
         }
         tables {}
     }

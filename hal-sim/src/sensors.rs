@@ -7,7 +7,7 @@
 //! b = b_0 + c ΔT(t) + r a²                    ΔT: warming up, a²: mean square of the vibration
 //! ```
 //!
-//! of increments as bandwidth and delay leave them, with the vibration's added; then saturation, then quantisation with
+//! of increments as the bandwidth leaves them, with the vibration's added; then saturation, then quantisation with
 //! the remainder carried to the next sample.
 //!
 //! # Seeds
@@ -19,7 +19,6 @@
 //! Not modelled: scale factors over temperature, correlated axes, what saturates between two samples.
 
 use core::f64::consts::TAU;
-use std::collections::VecDeque;
 
 use frames::units::{
     ARC_MIN, ARC_SEC, DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, MICRO_G, MICRO_G_PER_SQRT_HZ, PPM, STANDARD_GRAVITY,
@@ -206,79 +205,41 @@ struct VibrationLine {
 /// Lines of a band of vibration on each axis.
 const LINES_PER_BAND: usize = 16;
 
-/// Low-pass and delay of the increments.
+/// Low-pass of the increments.
 ///
 /// The rate is taken to be even over a sample. A rate that changes evenly is then delayed by exactly the poles' time
-/// constants and the delay; of a sine, `(ω dt)²/8` at most is lost besides.
+/// constants; of a sine, `(ω dt)²/8` at most is lost besides.
 #[derive(Debug, Clone)]
 struct Response {
-    /// Time constant of a pole, s; `None` where the bandwidth is unlimited.
-    tau: Option<f64>,
+    /// Time constant of a pole, s.
+    tau: f64,
     /// What each pole puts out now; `None` before the first sample, in which the motion is taken to have gone on before.
     poles: Vec<Option<Vector6<f64>>>,
-    delay: f64,
-    /// Length and mean rate of the samples that are still to come out, the oldest first.
-    past: VecDeque<(f64, Vector6<f64>)>,
 }
 
 impl Response {
+    /// `None` where the bandwidth is unlimited.
     fn new(errors: &Errors) -> Option<Self> {
-        let delay = errors.delay_ms * 1e-3;
-        if errors.bandwidth_hz.is_none() && delay == 0.0 {
-            return None;
-        }
+        let bandwidth = errors.bandwidth_hz?;
         Some(Self {
-            tau: errors
-                .bandwidth_hz
-                .map(|bandwidth| pole_time(bandwidth, errors.bandwidth_poles)),
+            tau: pole_time(bandwidth, errors.bandwidth_poles),
             poles: vec![None; errors.bandwidth_poles as usize],
-            delay,
-            past: VecDeque::new(),
         })
     }
 
     /// The increments of angle and velocity that come out during the next `dt`.
     fn apply(&mut self, angle: Vector3<f64>, velocity: Vector3<f64>, dt: f64) -> (Vector3<f64>, Vector3<f64>) {
         let mut rate = Vector6::from_fn(|i, _| if i < 3 { angle[i] } else { velocity[i - 3] }) / dt;
-        if let Some(tau) = self.tau {
-            let part = -(-dt / tau).exp_m1();
-            for pole in &mut self.poles {
-                let from = pole.unwrap_or(rate) - rate;
-                *pole = Some(rate + from * (1.0 - part));
-                rate += from * (part * tau / dt);
-            }
-        }
-        if self.delay > 0.0 {
-            self.past.push_back((dt, rate));
-            rate = self.delayed(dt);
+        let part = -(-dt / self.tau).exp_m1();
+        for pole in &mut self.poles {
+            let from = pole.unwrap_or(rate) - rate;
+            *pole = Some(rate + from * (1.0 - part));
+            rate += from * (part * self.tau / dt);
         }
         (
             rate.fixed_rows::<3>(0).into_owned() * dt,
             rate.fixed_rows::<3>(3).into_owned() * dt,
         )
-    }
-
-    /// Mean rate over `dt`, the delay ago.
-    fn delayed(&mut self, dt: f64) -> Vector6<f64> {
-        let (newest, oldest) = (self.delay, self.delay + dt);
-        let (mut sum, mut age) = (Vector6::zeros(), 0.0);
-        let mut needed = 0;
-        for (length, rate) in self.past.iter().rev() {
-            if age >= oldest {
-                break;
-            }
-            let overlap = (age + length).min(oldest) - age.max(newest);
-            sum += rate * overlap.max(0.0);
-            age += length;
-            needed += 1;
-        }
-        if let Some((_, first)) = self.past.front()
-            && age < oldest
-        {
-            sum += first * (oldest - age.max(newest));
-        }
-        self.past.drain(..self.past.len() - needed);
-        sum / dt
     }
 }
 
@@ -884,15 +845,13 @@ mod tests {
     }
 
     #[test]
-    fn bandwidth_and_delay_are_as_told() {
+    fn bandwidth_is_as_told() {
         // One pole of 8 Hz is 1/(2π 8 Hz) behind, two of 8 Hz together each √(√2 − 1) of that.
         let pole = 1.0 / (TAU * 8.0);
         let two = 2.0 * (2_f64.sqrt() - 1.0).sqrt() * pole;
         for (text, behind) in [
             ("bandwidth_hz = 8", pole),
             ("bandwidth_hz = 8\nbandwidth_poles = 2", two),
-            ("delay_ms = 23.7", 0.0237),
-            ("bandwidth_hz = 8\ndelay_ms = 2", pole + 0.002),
         ] {
             let scenario = scenario(&format!("[errors]\n{text}"));
             // A rate and a force that grow evenly, in samples that are not all alike.
