@@ -5,6 +5,7 @@ use std::path::Path;
 
 use app::parts;
 use app::record::Taken;
+use frames::Real as _;
 use frames::math::wrap_pi;
 use frames::units::{DEG, DEG_PER_SQRT_HOUR, MICRO_G_PER_SQRT_HZ};
 use nav::aligner::{Aligner, AlignerError, Event};
@@ -83,6 +84,9 @@ pub struct Replay {
     /// How late the IMU's samples are against the encoder: what the unit's `edge_delay_us` is short of. `null` where the rotor
     /// never turned round.
     pub imu_delay: Option<ImuDelay>,
+    /// Random walk of the gyros that σ rests on, where it was measured to be clearly more than the figure that was told.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub measured_walk_deg_sqrt_h: Option<f64>,
     /// Why it is not aligned.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
@@ -356,6 +360,9 @@ fn replay_with<const B: usize, R: BufRead>(
             delay_s: (delay_s * 1e7).round() / 1e7,
             sd_s: (sd_s * 1e7).round() / 1e7,
         }),
+        measured_walk_deg_sqrt_h: aligner
+            .measured_walk()
+            .map(|walk| round(walk.to_f64() / DEG_PER_SQRT_HOUR)),
         reason,
     })
 }

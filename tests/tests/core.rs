@@ -6,7 +6,7 @@
 )]
 
 use frames::Real;
-use frames::units::DEG;
+use frames::units::{DEG, DEG_PER_SQRT_HOUR};
 use hal_sim::align::{self, Angles, Method, Reading, Setup};
 use hal_sim::config::Angle;
 use hal_sim::scenario::Scenario;
@@ -315,4 +315,25 @@ fn poles_are_refused() {
     let error = setup.aligner::<f32, ROBUST>().err().map(|e| e.to_string());
     assert!(error.is_some_and(|e| e.contains("between -85 and 85")));
     assert!((setup.latitude_deg * DEG).is_finite());
+}
+
+/// The figure that σ rests on is told where it is not the configured one: 1000 differences scatter it by 5 %.
+#[test]
+fn a_random_walk_that_was_measured_is_told() {
+    for (told, measured) in [(0.02, true), (0.09, false)] {
+        let mut scenario = paper_sim();
+        scenario.run.duration_s = 70.0;
+        scenario.imu.angle_random_walk_deg_sqrt_h = 0.09;
+        scenario.told = Some(hal_sim::unit::Unit {
+            angle_random_walk_deg_sqrt_h: told,
+            ..scenario.imu.clone()
+        });
+        let rows = Simulation::new(&scenario, 7).unwrap();
+        let walk = align::<f32, ROBUST>(&scenario, rows, |_| ()).measured_walk();
+        assert_eq!(walk.is_some(), measured, "{walk:?}");
+        if let Some(walk) = walk {
+            let figure = f64::from(walk) / DEG_PER_SQRT_HOUR;
+            assert!((figure / 0.09 - 1.0).abs() < 0.15, "{figure}");
+        }
+    }
 }

@@ -244,6 +244,12 @@ pub(super) fn replay(result: &Replay) -> String {
     if let Some(delay) = result.imu_delay {
         text += &format!("{delay}\n");
     }
+    if let Some(walk) = result.measured_walk_deg_sqrt_h {
+        text += &format!(
+            "the gyros' random walk is {walk:.3} °/√h in the log, clearly more than their figures say: σ is by it. The figures are of \
+             another IMU, or the base vibrates\n"
+        );
+    }
     text
 }
 

@@ -1081,6 +1081,16 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         })
     }
 
+    /// Angle random walk of the gyros that the fine filter uses, rad/√s, where it was measured to be clearly more than the
+    /// configured one.
+    pub fn measured_walk(&self) -> Option<T> {
+        let Stage::Fine { filter, .. } = &self.stage else {
+            return None;
+        };
+        let used = filter.config().noise.angle_random_walk;
+        (used > self.config.filter.noise.angle_random_walk).then_some(used)
+    }
+
     /// What has been found of the gyro error that is constant in the housing; `None` before the loop is closed, and while the
     /// innovations do not fit or another heading may be the right one.
     pub fn deviation(&self) -> Option<Deviation<T>> {
