@@ -278,7 +278,7 @@ fn four_headings_find_what_the_housing_adds() {
         square.sqrt(),
         later_square.sqrt()
     );
-    // 0.35° after four headings is what is asked; the filter says 0.20°, and 0.40° for the alignment of 300 s that follows.
+    // σ is 0.20° after four headings, and 0.39° in the alignment of 300 s that follows.
     assert!(square.sqrt() <= 0.28 && later_square.sqrt() <= 0.52, "{figures}");
     assert!(
         (0.5..1.6).contains(&nees) && (0.5..1.6).contains(&later_nees),

@@ -26,6 +26,13 @@ impl Observer for Kept {
     }
 }
 
+fn typed_at((at_s, text): (f64, &str)) -> Typed {
+    Typed {
+        at_s,
+        text: text.to_owned(),
+    }
+}
+
 /// Sets its place, calibrates its gyros from rest, saves, starts anew from what it saved, aligns, navigates.
 #[test]
 fn a_unit_is_set_calibrated_saved_restarted_and_navigates() {
@@ -42,12 +49,7 @@ fn a_unit_is_set_calibrated_saved_restarted_and_navigates() {
         (255.0, "navigate"),
     ];
     let setup = Setup {
-        typed: typed
-            .map(|(at_s, text)| Typed {
-                at_s,
-                text: text.to_owned(),
-            })
-            .to_vec(),
+        typed: typed.map(typed_at).to_vec(),
         ..Setup::new(Scenario::builtin("static").unwrap(), 3, 290.0)
     };
     let (outcome, kept) = run::run(&image, &setup, Kept::default()).unwrap();
@@ -116,12 +118,7 @@ fn a_unit_that_is_turned_keeps_its_deviation() {
         (290.0, "show"),
     ];
     let setup = Setup {
-        typed: typed
-            .map(|(at_s, text)| Typed {
-                at_s,
-                text: text.to_owned(),
-            })
-            .to_vec(),
+        typed: typed.map(typed_at).to_vec(),
         ..Setup::new(scenario, 5, 380.0)
     };
     let (outcome, kept) = run::run(&image, &setup, Kept::default()).unwrap();
