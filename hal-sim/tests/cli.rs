@@ -473,7 +473,10 @@ fn mistakes_are_told_before_the_work_with_what_to_do_next() {
             &["run", "--scenario", "mine.toml"],
             "`hal-sim scenarios paper-sim > mine.toml` writes one",
         ),
-        (&["run", "--scenario", "typo.toml"], "known here: `part`, `gyro_bias_sd_deg_h`"),
+        (
+            &["run", "--scenario", "typo.toml"],
+            "known here: `part`, `gyro_bias_sd_deg_h`",
+        ),
         (&["run", "--seconds", "-5"], "allowed are 0.1 to 360000"),
         (&["run", "--report", "file"], "name another with --report DIR"),
         (&["monte-carlo", "--report", "file"], "name another with --report DIR"),
