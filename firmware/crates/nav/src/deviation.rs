@@ -179,6 +179,25 @@ mod tests {
         assert!(level.sd > 0.3 * DEG_PER_HOUR, "{level:?}");
     }
 
+    /// What the first component says of the second is not taken twice.
+    #[test]
+    fn components_that_are_correlated_come_out_as_they_were_kept() {
+        let mut covariance = prior();
+        let correlated = 0.8 * (0.5 * DEG_PER_HOUR).powi(2);
+        let block = nalgebra::Matrix3::new(0.0, correlated, 0.0, correlated, 0.0, 0.0, 0.0, 0.0, 0.0);
+        covariance.add(HB, HB, &block);
+        let kept = Deviation {
+            rate_b: [0.3, -0.4].map(|rate| rate * DEG_PER_HOUR),
+            force_b: [0.0; 2],
+            sd: 0.001 * DEG_PER_HOUR,
+        };
+        let state = kept.measured(&mut covariance);
+        let again = Deviation::found(&state, &covariance, [0.0; 2]);
+        for (again, kept) in again.rate_b.iter().zip(kept.rate_b) {
+            assert!((again - kept).abs() < 0.01 * DEG_PER_HOUR, "{again} {kept}");
+        }
+    }
+
     #[test]
     fn one_that_cannot_be_is_refused() {
         let good = Deviation::<f32> {
