@@ -585,6 +585,98 @@ fn a_receiver_says_whether_the_base_stands_and_where() {
     assert!(error.abs() < 2.0, "{error}");
 }
 
+/// The time of day of a receiver goes into the unit's sentences, over midnight and on without the receiver.
+#[test]
+fn a_receivers_time_goes_into_the_sentences() {
+    let mut unit = Unit::new(6);
+    unit.run(80.0);
+    assert_eq!(unit.said.sentences["$PASHR"][1], "");
+    assert_eq!(unit.asked("navigate"), ["ok,navigating"]);
+    for second in 0..5 {
+        let time = (86_397 + second) % 86_400;
+        let hhmmss = format!("{:02}{:02}{:02}.00", time / 3600, time / 60 % 60, time % 60);
+        unit.hears(&format!("GPRMC,{hhmmss},A,4000.0,N,00000.0,E,0.0,,010126,,,A"), 1);
+    }
+    // The last was of 00:00:01, a second ago.
+    let of = |unit: &Unit, sentence: &str, field: usize| unit.said.sentences[sentence][field].parse::<f64>().unwrap();
+    let is = |found: f64, expected: f64| assert!(found <= expected && found > expected - 0.25, "{found} {expected}");
+    is(of(&unit, "$PASHR", 1), 2.0);
+    is(of(&unit, "$HEGLL", 5), 2.0);
+    unit.run(65.0);
+    is(of(&unit, "$PASHR", 1), 107.0);
+    is(of(&unit, "$HEGLL", 5), 107.0);
+    // What the receiver does not stand by changes nothing.
+    unit.hears("GPRMC,120000,V,4000.0,N,00000.0,E,0.0,,010126,,,N", 2);
+    is(of(&unit, "$PASHR", 1), 109.0);
+}
+
+/// A receiver that has just been switched on may say 0°, 0°, or anything once. What it goes on saying is believed, also where
+/// the unit has been carried far while it was off.
+#[test]
+fn a_place_far_from_the_last_is_believed_once_fixes_agree() {
+    const HERE: &str = "GPRMC,120000,A,4000.6,N,00500.0,W,0.0,,010126,,,A";
+    const NULL: &str = "GPRMC,120000,A,0000.0,N,00000.0,E,0.0,,010126,,,A";
+    const AWAY: &str = "GPRMC,120000,A,6000.0,N,00500.0,W,0.0,,010126,,,A";
+    const AWAY_EAST: &str = "GPRMC,120000,A,6000.0,N,00500.0,E,0.0,,010126,,,A";
+    let latitude = |unit: &Unit| unit.session.result().settings.position().latitude.to_degrees();
+    let mut unit = Unit::new(5);
+    unit.session.forget_place();
+    unit.session.reset(ResetCause::PowerOn, &mut unit.said).unwrap();
+    // Of a unit that was never told a place one fix is not enough.
+    unit.hears(HERE, 2);
+    assert_eq!(unit.session.result().settings.last_position.source, Source::Default);
+    unit.hears(HERE, 1);
+    assert_eq!(unit.session.result().settings.last_position.source, Source::Gnss);
+
+    // The first that is kept is written once a sector is erased.
+    unit.run(5.0);
+    unit.session.reset(ResetCause::PowerOn, &mut unit.said).unwrap();
+    unit.hears(NULL, 1);
+    unit.hears(AWAY, 2);
+    unit.hears(AWAY_EAST, 1);
+    unit.hears(AWAY, 1);
+    unit.run(1.0);
+    assert!((latitude(&unit) - 40.01).abs() < 1e-5, "{}", latitude(&unit));
+    assert_eq!(unit.said.sentences["$PASHR"][1], "");
+    // Not even said over and over: the place is in doubt, and so is the heading.
+    unit.hears(NULL, 85);
+    assert!((latitude(&unit) - 40.01).abs() < 1e-5, "{}", latitude(&unit));
+    assert_eq!(
+        (unit.mode().0, unit.said.sentences["$HETHS"][2].as_str()),
+        ("aligned", "E")
+    );
+    // Until the receiver knows better, or is silent.
+    unit.hears(HERE, 1);
+    assert_eq!(unit.said.sentences["$HETHS"][2], "A");
+    unit.hears(NULL, 1);
+    assert_eq!(unit.said.sentences["$HETHS"][2], "E");
+    unit.run(11.0);
+    assert_eq!(unit.said.sentences["$HETHS"][2], "A");
+
+    // Carried away: believed, and the alignment starts anew by it.
+    unit.hears(AWAY, 2);
+    assert_eq!(unit.said.sentences["$HETHS"][2], "E");
+    unit.hears(AWAY, 1);
+    assert!((latitude(&unit) - 60.0).abs() < 1e-4);
+    let told = "starting anew: by the receiver the unit is at latitude 60.0 deg";
+    assert_eq!(unit.said.lines.iter().filter(|line| line.as_str() == told).count(), 1);
+    assert_eq!(unit.mode().0, "coarse");
+
+    // A place that somebody has set stays, but not unquestioned.
+    unit.hears(HERE, 3);
+    assert_eq!(unit.asked("set latitude 40.01").len(), 1);
+    unit.run(80.0);
+    assert_eq!(unit.asked("align"), ["ok,aligning"]);
+    unit.run(80.0);
+    assert_eq!(unit.said.sentences["$HETHS"][2], "A");
+    unit.hears(AWAY, 5);
+    assert!((latitude(&unit) - 40.01).abs() < 1e-5, "{}", latitude(&unit));
+    assert_eq!(
+        (unit.mode().0, unit.said.sentences["$HETHS"][2].as_str()),
+        ("aligned", "E")
+    );
+}
+
 #[test]
 fn a_rotor_by_legs_is_not_for_a_motor() {
     let mut scenario = paper();

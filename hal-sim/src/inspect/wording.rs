@@ -342,6 +342,7 @@ fn events() -> Vec<(Kind, Event, Vec<String>)> {
         (Kind::AlignsAnew, of(A_::RestartedBadSample), none()),
         (Kind::AlignsAnew, of(A_::RestartedDiverged), none()),
         (Kind::AlignsAnew, of(A_::UnderWay { speed: a }), none()),
+        (Kind::AlignsAnew, of(A_::Elsewhere { latitude_deg: a }), none()),
         (Kind::Note, Event::GyrosCalibrated(gyros(true)), none()),
         (Kind::Note, Event::GyroBiases(gyros(true)), none()),
         (Kind::Note, Event::GyroBiases(gyros(false)), none()),
@@ -535,7 +536,8 @@ mod tests {
                 | Alignment::RestartedGap { .. }
                 | Alignment::RestartedBadSample
                 | Alignment::RestartedDiverged
-                | Alignment::UnderWay { .. } => Told::AlignsAnew,
+                | Alignment::UnderWay { .. }
+                | Alignment::Elsewhere { .. } => Told::AlignsAnew,
             },
             Event::GyrosCalibrated(_) | Event::GyroBiases(_) | Event::NotCalibrated(_) => Told::Note,
             Event::NavigationEnded(_) => Told::AlignsAnew,
@@ -658,6 +660,7 @@ mod tests {
             of(Alignment::RestartedBadSample),
             of(Alignment::RestartedDiverged),
             of(Alignment::UnderWay { speed: x }),
+            of(Alignment::Elsewhere { latitude_deg: x }),
             Event::Retry { attempt: n as u8 },
             Event::Latched,
             Event::Slipped { late: x },

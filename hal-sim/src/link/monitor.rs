@@ -376,7 +376,7 @@ mod tests {
         let mut monitor = Monitor::default();
         let [latitude, longitude] = [-33.5_f32, 151.2].map(f32::to_radians);
         let sentences = [
-            nmea::gll(Talker::He, latitude, longitude).unwrap(),
+            nmea::gll(Talker::He, None, latitude, longitude).unwrap(),
             nmea::vtg(Talker::In, -3.0, 4.0).unwrap(),
         ];
         for sentence in &sentences {

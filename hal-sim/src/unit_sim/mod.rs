@@ -409,7 +409,7 @@ struct Bench<const B: usize> {
     /// What the board says its clock goes by.
     clock: Cell<ClockSource>,
     /// What the unit was built with: holds where its flash says nothing else.
-    factory: Settings,
+    factory: Cell<Settings>,
     typed: Vec<Typed>,
     seed: u64,
 }
@@ -598,7 +598,7 @@ fn bench<const B: usize>(
         hangs_at_start: Cell::default(),
         supply: Rc::default(),
         clock: Cell::default(),
-        factory,
+        factory: Cell::new(factory),
         typed,
         reset: Rc::default(),
         record: Rc::default(),
@@ -724,7 +724,7 @@ fn boot<const B: usize>(executor: &mut Executor<'_>, bench: &Rc<Bench<B>>, cause
     app::log::started(VERSION, blackbox.started(), bench.clock.get());
     let mut store = Store::new(bench.flash.clone());
     // Reading takes the part no time.
-    let (settings, report) = embassy_futures::block_on(store.load_over(bench.factory));
+    let (settings, report) = embassy_futures::block_on(store.load_over(bench.factory.get()));
     app::log::settings(&report);
     app::log::supply(&Rail(Rc::clone(&bench.supply)));
     let shared = Rc::new(Bus::new(VERSION, settings));

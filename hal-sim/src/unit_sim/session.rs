@@ -8,6 +8,7 @@ use app::blackbox::{self, Entry, Memory, SLOTS, Slot};
 use app::fault::Task;
 use app::hal::{ClockSource, Cutoff as _, ResetCause};
 use app::mode::Status;
+use app::settings::Position;
 use app::shared::SampleCounts;
 use embassy_sync::signal::Signal;
 use embassy_time::Instant;
@@ -112,7 +113,7 @@ impl<const B: usize> Session<B> {
         let bench = Rc::new(bench::<B>(scenario, seed, method, typed)?);
         let lines = Rc::clone(&bench.record);
         let recording = Recording::to(Box::new(move |line| lines.borrow_mut().lines.push(line)));
-        let core = Rc::new(RefCell::new(Core::new(bench.factory.aligner(bench.filter))?));
+        let core = Rc::new(RefCell::new(Core::new(bench.factory.get().aligner(bench.filter))?));
         let mut executor = Executor::new();
         spawn_world(&mut executor, &bench, &truth, &core, scenario, seed);
         boot(&mut executor, &bench, ResetCause::PowerOn)?;
@@ -233,6 +234,13 @@ impl<const B: usize> Session<B> {
     /// What the unit is told that its clock goes by, from the next start on. The clock itself stays as it is.
     pub fn set_clock(&mut self, clock: ClockSource) {
         self.bench.clock.set(clock);
+    }
+
+    /// From the next start on the unit is one that nobody has told its place.
+    pub fn forget_place(&self) {
+        let mut factory = self.bench.factory.get();
+        factory.installation.position = Position::default();
+        self.bench.factory.set(factory);
     }
 
     /// Changes the supply of the unit's part. The log tells of a level that guards nothing at the next start.

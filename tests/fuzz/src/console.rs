@@ -64,9 +64,13 @@ pub fn line(data: &[u8]) {
 
 /// A receiver's sentence with a check sum that is right. What is taken is on Earth.
 fn sentence(line: &[u8]) {
-    let Ok(nmea_in::Fix { place, motion }) = nmea_in::parse(line) else {
+    let Ok(nmea_in::Fix { time, place, motion }) = nmea_in::parse(line) else {
         return;
     };
+    if let Some(time) = time {
+        let (hhmmss, ms) = time.parts();
+        assert!(hhmmss <= 235_959 && ms < 1000);
+    }
     let within = |x: f32, most: f64| f64::from(x).abs() <= most * (1.0 + f64::from(f32::EPSILON));
     assert!(place.is_none_or(|place| within(place.latitude, FRAC_PI_2) && within(place.longitude, PI)));
     if let Some(motion) = motion {

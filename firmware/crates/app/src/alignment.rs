@@ -9,6 +9,7 @@
 use embassy_futures::select::{Either3, select3};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Timer};
+use frames::units::DEG;
 use frames::{Body, Vec3, math};
 use nav::aligner::{self, Align, AlignerConfig, NotReady};
 use nav::calibration::{Calibration, CalibrationConfig, CalibrationError, Calibrator, REST_TRAVEL};
@@ -26,7 +27,7 @@ use crate::nmea_in::Fix;
 use crate::record::Taken;
 use crate::sample::TimedSample;
 use crate::selftest::{Inspection, InspectionConfig};
-use crate::settings::{Imu, Mounting, Position as Place, Thermal};
+use crate::settings::{Imu, Mounting, Position as Place, Source, Thermal};
 use crate::shared::{Navigation, Shared};
 use crate::tap::Tap;
 
@@ -37,7 +38,7 @@ const UNDER_WAY: f32 = 0.5;
 /// At so many instants in a row a receiver says so before it is believed.
 const SURE: u8 = 2;
 /// Sentences closer to each other than this are of one instant, µs: RMC and VTG come one after the other.
-const INSTANT_US: u64 = 80_000;
+pub(crate) const INSTANT_US: u64 = 80_000;
 /// What a receiver has said holds for so long, µs.
 const SAID_US: u64 = 3_000_000;
 /// What biases must differ by from those known, to be taken with Earth's rate in them, rad/s: five times that.
@@ -184,6 +185,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
                 &mut ground,
                 &mut doubt,
                 &fix,
+                &shared.settings().position(),
                 sample.t_us,
             ) {
                 shared.tell(input);
@@ -312,14 +314,18 @@ impl Ground {
 }
 
 /// Fixes in a row that must agree before they are believed against dead reckoning.
-const AGREE: u8 = 3;
+pub(crate) const AGREE: u8 = 3;
 /// A fix that contradicts dead reckoning is in doubt for this long where no other follows, µs.
-const DOUBT_US: u64 = 10_000_000;
+pub(crate) const DOUBT_US: u64 = 10_000_000;
 /// How far a fix may be from dead reckoning, m and m/s, far above both σ at the start, …
 const PLACE_OFF: f32 = 200.0;
 const VELOCITY_OFF: f32 = 5.0;
-/// … and by how much more each second since the last fix, m/s²: 1 mg, an attitude error of 1 mrad in level.
+/// … and by how much more each second since the last fix, m/s²: 1 mg, an attitude error of 1 mrad in level, …
 const GROWTH: f32 = 0.01;
+/// … for so long, s: 6.8 km and 11 m/s. What is further off has to be said several times, however long none was heard.
+const GROWS: f32 = 600.0;
+/// A latitude that is wrong by so much moves a heading by less than 0.03°, rad: 1°, see `docs/guide/tuning.md`.
+const LATITUDE_OFF: f32 = DEG as f32;
 /// Mean radius of Earth, m.
 const EARTH: f32 = 6_371_000.0;
 
@@ -364,7 +370,8 @@ impl Doubt {
     fn takes(&mut self, fix: &Where, reckoned: &Where, since: f32, t_us: u64) -> bool {
         let since = self
             .taken_us
-            .map_or(since, |taken_us| t_us.saturating_sub(taken_us) as f32 * 1e-6);
+            .map_or(since, |taken_us| t_us.saturating_sub(taken_us) as f32 * 1e-6)
+            .min(GROWS);
         let velocity = VELOCITY_OFF + GROWTH * since;
         if fix.is_near(reckoned, PLACE_OFF + velocity * since, velocity) {
             // A velocity without a place says nothing of the place that is in doubt.
@@ -379,7 +386,9 @@ impl Doubt {
                     let seconds = t_us.saturating_sub(at_us) as f32 * 1e-6;
                     let [north, east] = held.north_east;
                     let speed = math::sqrt(north * north + east * east) + VELOCITY_OFF;
-                    let agrees = fix.is_near(&held, PLACE_OFF + speed * seconds, VELOCITY_OFF);
+                    // What a receiver says that knows no place proves none, however often.
+                    let agrees =
+                        fix.place != Some([0.0; 2]) && fix.is_near(&held, PLACE_OFF + speed * seconds, VELOCITY_OFF);
                     self.agreed = if agrees { self.agreed + 1 } else { 1 };
                 }
                 None => self.agreed = 1,
@@ -394,14 +403,19 @@ impl Doubt {
         true
     }
 
-    /// Whether a fix has contradicted dead reckoning, and neither is proven.
+    /// Whether a fix has contradicted dead reckoning, or the latitude an alignment goes by, and neither is proven.
     fn is_in_doubt(&self, t_us: u64) -> bool {
         self.held
             .is_some_and(|(_, at_us)| t_us.saturating_sub(at_us) <= DOUBT_US)
     }
 }
 
-/// What a receiver says is taken by the navigator; an alignment starts anew where the base is under way.
+/// What a receiver says is taken by the navigator; an alignment starts anew where the base is under way, and where the place
+/// `in_force`, once the receiver's word has become that, is another than it goes by.
+#[expect(
+    clippy::too_many_arguments,
+    reason = "each belongs to the task, and none with another"
+)]
 fn heed(
     work: &mut Work,
     aligner: &mut dyn Align,
@@ -409,6 +423,7 @@ fn heed(
     ground: &mut Ground,
     doubt: &mut Doubt,
     fix: &Fix,
+    in_force: &Place,
     t_us: u64,
 ) -> Option<Input> {
     let motion = fix.motion?;
@@ -418,6 +433,25 @@ fn heed(
             aligner.start_anew();
             tap.anew();
             Some(Input::Alignment(Alignment::UnderWay { speed: motion.speed }))
+        }
+        Work::Align => {
+            let goes_by = tap.place().latitude;
+            let is_off = |latitude: f32| (latitude - goes_by).abs() > LATITUDE_OFF;
+            let Place { latitude, height, .. } = *in_force;
+            if in_force.source == Source::Gnss && is_off(latitude) && aligner.set_place(latitude, height).is_ok() {
+                tap.moves(*in_force);
+                *doubt = Doubt::default();
+                let latitude_deg = latitude / DEG as f32;
+                return Some(Input::Alignment(Alignment::Elsewhere { latitude_deg }));
+            }
+            if let Some(place) = fix.place {
+                let said = Where {
+                    place: Some([place.latitude, place.longitude]),
+                    north_east: [0.0; 2],
+                };
+                doubt.held = is_off(place.latitude).then_some((said, t_us));
+            }
+            None
         }
         Work::Navigate(navigator) => {
             let place = fix.place.map(|place| [place.latitude, place.longitude]);
@@ -527,12 +561,20 @@ fn work_on<M: RawMutex>(
 #[inline(never)]
 fn navigation(t_us: u64, work: &Work, aligner: &dyn Align, in_doubt: bool) -> Navigation {
     let Work::Navigate(navigator) = work else {
+        let estimate = aligner.estimate();
+        let (mode, not_ready) = (aligner.mode(), aligner.not_ready());
+        // Earth's rate stands on latitude.
+        let doubted = estimate
+            .filter(|_| in_doubt && not_ready.is_none())
+            .map(|estimate| NotReady::HeadingSd {
+                sd: estimate.sd.heading,
+            });
         return Navigation {
             t_us,
-            mode: aligner.mode(),
-            estimate: aligner.estimate(),
+            mode: doubted.map_or(mode, |_| aligner::Mode::Fine),
+            estimate,
             deviation: aligner.deviation(),
-            not_ready: aligner.not_ready(),
+            not_ready: not_ready.or(doubted),
             track: None,
         };
     };
@@ -660,7 +702,7 @@ mod tests {
         };
         let own = at(0.698, 0.0, [0.0; 2]);
         let jumped = at(0.698, 1.0, [0.0; 2]);
-        for wrong in [at(0.0, 0.0, [0.0; 2]), at(0.698, 0.0, [404.0, 245.0])] {
+        for wrong in [at(0.0, 0.1, [0.0; 2]), at(0.698, 0.0, [404.0, 245.0])] {
             let mut doubt = Doubt::default();
             assert!(doubt.takes(&own, &own, 60.0, 1_000_000) && !doubt.is_in_doubt(1_000_000));
             assert!(!doubt.takes(&wrong, &own, 60.0, 2_000_000) && doubt.is_in_doubt(2_000_000));
@@ -676,6 +718,13 @@ mod tests {
             assert!(!doubt.takes(&jumped, &own, 60.0, 6_010_000));
             assert!(doubt.takes(&jumped, &own, 60.0, 7_000_000) && !doubt.is_in_doubt(7_000_000));
         }
+        // Null is none, however often it is said.
+        let mut doubt = Doubt::default();
+        let null = at(0.0, 0.0, [0.0; 2]);
+        assert!((1..60).all(|s| !doubt.takes(&null, &own, 60.0, s * 1_000_000) && doubt.is_in_doubt(s * 1_000_000)));
+        // A day without a fix is worth no more than ten minutes: the first one does not move it to anywhere.
+        assert!(!Doubt::default().takes(&null, &own, 86_400.0, 1_000_000));
+        assert!(!Doubt::default().takes(&jumped, &own, 86_400.0, 1_000_000));
         // Ten minutes without a fix are worth kilometres.
         let drifted = at(0.698 + 4_000.0 / EARTH, 0.0, [0.0; 2]);
         assert!(Doubt::default().takes(&drifted, &own, 600.0, 1_000_000));

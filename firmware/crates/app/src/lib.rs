@@ -26,6 +26,7 @@
 //! | [`report`] | what the unit does → a line of the log, once a second |
 //! | [`settings`] | the unit's settings, and their store in flash |
 //! | [`nmea_in`] | sentences of a receiver, pure |
+//! | [`utc`] | the receiver's time of day, carried on |
 //! | [`console`] | commands on a serial line, their grammar, and what they do |
 //! | [`rotor`] | the motor's control, pure |
 //!
@@ -70,3 +71,4 @@ pub mod settings;
 pub mod shared;
 pub mod supervisor;
 pub mod tap;
+pub mod utc;

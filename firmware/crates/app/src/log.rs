@@ -364,6 +364,11 @@ pub enum Alignment {
         /// m/s.
         speed: f32,
     },
+    /// Starts anew: the place is another, by a receiver's word.
+    Elsewhere {
+        /// Latitude there, degrees.
+        latitude_deg: f32,
+    },
 }
 
 impl From<&aligner::Event> for Alignment {
@@ -417,6 +422,12 @@ wording!(Alignment, |self, say| {
         Self::RestartedBadSample => say!("starting anew: an impossible sample"),
         Self::RestartedDiverged => say!("starting anew: the fine filter diverged"),
         Self::UnderWay { speed } => say!("starting anew once the base stands: it makes {} m/s", figure(speed, 1)),
+        Self::Elsewhere { latitude_deg } => {
+            say!(
+                "starting anew: by the receiver the unit is at latitude {} deg",
+                figure(latitude_deg, 1)
+            )
+        }
     }
 });
 

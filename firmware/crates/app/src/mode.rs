@@ -542,7 +542,8 @@ fn aligning(mode: Mode, told: Alignment) -> Mode {
         | Alignment::RestartedGap { .. }
         | Alignment::RestartedBadSample
         | Alignment::RestartedDiverged
-        | Alignment::UnderWay { .. } => Mode::Coarse,
+        | Alignment::UnderWay { .. }
+        | Alignment::Elsewhere { .. } => Mode::Coarse,
         Alignment::Bridged { .. } => mode,
     }
 }

@@ -26,6 +26,7 @@ use heapless::Vec;
 
 use crate::command::ModeName;
 use crate::figure::{hex_digit, seconds};
+use crate::utc::TimeOfDay;
 
 /// Longest sentence, `$` and CR LF included, bytes.
 pub const LONGEST: usize = 82;
@@ -146,9 +147,9 @@ pub fn rot(talker: Talker, rate: Option<f32>) -> Sentence {
     line.end()
 }
 
-/// Attitude and its 1σ; `aligned` is the flag of the INS. Time stays empty: the unit knows no UTC, and time since its
+/// Attitude and its 1σ at `time`; `aligned` is the flag of the INS. Without a receiver's time it stays empty: time since the
 /// start would be taken for it. So does heave, which is not measured; the quality of GNSS is 0, there is none.
-pub fn pashr(attitude: Option<(&Attitude, &AttitudeSd)>, aligned: bool) -> Sentence {
+pub fn pashr(time: Option<TimeOfDay>, attitude: Option<(&Attitude, &AttitudeSd)>, aligned: bool) -> Sentence {
     // One of them not finite is a filter that is not: nothing of it is put out.
     let numbers = attitude.and_then(|(attitude, sd)| {
         Some((
@@ -158,7 +159,7 @@ pub fn pashr(attitude: Option<(&Attitude, &AttitudeSd)>, aligned: bool) -> Sente
         ))
     });
     let mut line = Line::start("$PASHR");
-    line.comma(); // time
+    line.time(time);
     line.comma();
     if let Some((heading, angles, sds)) = numbers {
         line.fixed(heading, 2, false);
@@ -184,10 +185,10 @@ pub fn pashr(attitude: Option<(&Attitude, &AttitudeSd)>, aligned: bool) -> Sente
 }
 
 /// The place, rad, by dead reckoning from where the unit was aligned: mode E, and therefore status V. No sentence for a
-/// place that is not finite. Time stays empty.
+/// place that is not finite. `time` is that of the place.
 ///
 /// Ten-thousandths of a minute are 0.2 m; an `f32` of 180° is good to eight of them.
-pub fn gll(talker: Talker, latitude: f32, longitude: f32) -> Option<Sentence> {
+pub fn gll(talker: Talker, time: Option<TimeOfDay>, latitude: f32, longitude: f32) -> Option<Sentence> {
     let mut line = Line::of(talker, "GLL");
     for (angle, most, letters) in [(latitude, 90, b"NS"), (longitude, 180, b"EW")] {
         let scaled = rounded(degrees(angle) * 600_000.0)?;
@@ -206,7 +207,7 @@ pub fn gll(talker: Talker, latitude: f32, longitude: f32) -> Option<Sentence> {
         line.number(minutes, 4);
         line.letter(letters[usize::from(scaled < 0)]);
     }
-    line.comma(); // time
+    line.time(time);
     line.letter(b'V');
     line.letter(b'E');
     Some(line.end())
@@ -433,6 +434,24 @@ impl Line {
         self.push(letter);
     }
 
+    /// A whole field of a time of day, `hhmmss.ss`; empty without one.
+    #[inline(never)]
+    fn time(&mut self, time: Option<TimeOfDay>) {
+        self.comma();
+        let Some((hhmmss, ms)) = time.map(TimeOfDay::parts) else {
+            return;
+        };
+        // Eight digits, zeros before it as well.
+        let mut scale = 10_000_000;
+        while scale > 0 {
+            self.push(b'0' + ((hhmmss * 100 + ms / 10) / scale % 10) as u8);
+            if scale == 100 {
+                self.push(b'.');
+            }
+            scale /= 10;
+        }
+    }
+
     /// `scaled`/10^`decimals`.
     #[inline(never)]
     fn fixed(&mut self, scaled: i32, decimals: usize, plus: bool) {
@@ -527,9 +546,9 @@ mod tests {
         );
         assert_eq!(hdt(HE, rad(274.07)).unwrap().as_str(), "$HEHDT,274.07,T*19\r\n");
         assert_eq!(rot(HE, Some(0.0)).as_str(), "$HEROT,0.0,A*2B\r\n");
-        assert_eq!(pashr(None, true).as_str(), "$PASHR,,,,,,,,,,0,0*74\r\n");
+        assert_eq!(pashr(None, None, true).as_str(), "$PASHR,,,,,,,,,,0,0*74\r\n");
         assert_eq!(
-            pashr(Some((&attitude(305.3, -0.126, 0.054), &SD)), true).as_str(),
+            pashr(None, Some((&attitude(305.3, -0.126, 0.054), &SD)), true).as_str(),
             "$PASHR,,305.30,T,+0.05,-0.13,,0.002,0.001,0.350,0,1*10\r\n"
         );
     }
@@ -538,11 +557,11 @@ mod tests {
     fn places_and_speeds() {
         // Check sums by another program.
         assert_eq!(
-            gll(HE, rad(40.1), rad(-8.500_01)).unwrap().as_str(),
+            gll(HE, None, rad(40.1), rad(-8.500_01)).unwrap().as_str(),
             "$HEGLL,4006.0000,N,00830.0006,W,,V,E*53\r\n"
         );
         assert_eq!(
-            gll(HE, rad(-0.99), rad(100.5)).unwrap().as_str(),
+            gll(HE, None, rad(-0.99), rad(100.5)).unwrap().as_str(),
             "$HEGLL,0059.4000,S,10030.0000,E,,V,E*59\r\n"
         );
         assert_eq!(
@@ -550,7 +569,28 @@ mod tests {
             "$HEVTG,323.13,T,,M,9.72,N,18.00,K,E*16\r\n"
         );
         assert_eq!(fields(&vtg(HE, 0.05, 0.0).unwrap())[1], "");
-        assert_eq!((gll(HE, f32::NAN, 0.0), vtg(HE, 0.0, f32::INFINITY)), (None, None));
+        assert_eq!(
+            (gll(HE, None, f32::NAN, 0.0), vtg(HE, 0.0, f32::INFINITY)),
+            (None, None)
+        );
+    }
+
+    #[test]
+    fn times_of_day() {
+        let time = TimeOfDay::new(12_345, 67);
+        // Check sums by another program.
+        assert_eq!(pashr(time, None, true).as_str(), "$PASHR,012345.06,,,,,,,,,0,0*5D\r\n");
+        assert_eq!(
+            gll(HE, TimeOfDay::new(0, 0), rad(40.1), rad(-8.500_01))
+                .unwrap()
+                .as_str(),
+            "$HEGLL,4006.0000,N,00830.0006,W,000000.00,V,E*7D\r\n"
+        );
+        let of = |hhmmss, ms| fields(&pashr(TimeOfDay::new(hhmmss, ms), None, true))[1].clone();
+        assert_eq!(
+            (of(235_959, 999), of(100_000, 9)),
+            ("235959.99".into(), "100000.00".into())
+        );
     }
 
     #[test]
@@ -562,7 +602,7 @@ mod tests {
                 (ths(talker, None, HeadingMode::Invalid), "THS"),
                 (hdt(talker, 1.0).unwrap(), "HDT"),
                 (rot(talker, None), "ROT"),
-                (gll(talker, 0.1, 0.1).unwrap(), "GLL"),
+                (gll(talker, None, 0.1, 0.1).unwrap(), "GLL"),
                 (vtg(talker, 1.0, 1.0).unwrap(), "VTG"),
             ];
             for (sentence, kind) in addresses {
@@ -605,7 +645,10 @@ mod tests {
         ] {
             assert_eq!(of(deg), text, "{deg}");
             assert_eq!(fields(&hdt(HE, rad(deg)).unwrap())[1], text);
-            assert_eq!(fields(&pashr(Some((&attitude(deg, 0.0, 0.0), &SD)), true))[2], text);
+            assert_eq!(
+                fields(&pashr(None, Some((&attitude(deg, 0.0, 0.0), &SD)), true))[2],
+                text
+            );
         }
     }
 
@@ -620,8 +663,8 @@ mod tests {
         assert_eq!(rot(HE, Some(f32::NAN)), rot(HE, None));
         let broken = AttitudeSd { pitch: f32::NAN, ..SD };
         assert_eq!(
-            pashr(Some((&attitude(1.0, 2.0, 3.0), &broken)), true),
-            pashr(None, false)
+            pashr(None, Some((&attitude(1.0, 2.0, 3.0), &broken)), true),
+            pashr(None, None, false)
         );
     }
 
@@ -645,7 +688,7 @@ mod tests {
                 ..SD
             };
             assert_eq!(
-                fields(&pashr(Some((&attitude(0.0, 0.0, 0.0), &sd)), true))[9],
+                fields(&pashr(None, Some((&attitude(0.0, 0.0, 0.0), &sd)), true))[9],
                 text,
                 "{deg}"
             );
@@ -727,7 +770,7 @@ mod tests {
             }
             prop_assert_eq!(fields(&rot(HE, Some(heading))).len(), 3);
             let sds = AttitudeSd { heading: sd, pitch: sd, roll: sd };
-            prop_assert_eq!(fields(&pashr(Some((&Attitude { heading, pitch, roll }, &sds)), true)).len(), 12);
+            prop_assert_eq!(fields(&pashr(None, Some((&Attitude { heading, pitch, roll }, &sds)), true)).len(), 12);
             fields(&answer(true, &text));
             fields(&status(&Report {
                 up_us,

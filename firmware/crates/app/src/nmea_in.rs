@@ -2,7 +2,7 @@
 //!
 //! | sentence | what is taken | when it is valid |
 //! |---|---|---|
-//! | `RMC` | latitude, longitude, speed, course | status A, and the mode of the next table or none |
+//! | `RMC` | time of day, latitude, longitude, speed, course | status A, and the mode of the next table or none |
 //! | `VTG` | speed, course | the mode of the next table |
 //!
 //! | mode | | taken |
@@ -12,7 +12,7 @@
 //!
 //! RMC of before NMEA 2.3 has no mode, and its status says it. VTG without one says nothing about its worth, and is not
 //! taken. The status of navigation, the last field of RMC since NMEA 4.10, is V with every receiver that does not watch
-//! its integrity, and is not looked at. Time and date are left: nothing here needs them.
+//! its integrity, and is not looked at. The date is left: nothing here needs it.
 //!
 //! A sentence counts as a whole or not at all: `$`, a check sum that is right, numbers that are numbers, angles within
 //! their range. Any talker is heard but the proprietary ones.
@@ -23,6 +23,7 @@
 //! - A place is the last good position, kept over resets; the unit aligns with it where nobody has entered one.
 //! - A base that is under way cannot be aligned: the alignment waits until it stands.
 //! - The navigator takes velocity and place.
+//! - The unit's own sentences carry its [time of day](crate::utc).
 //!
 //! Source: IEC 61162-1:2016, RMC and VTG.
 
@@ -31,8 +32,12 @@ use core::fmt;
 use frames::math;
 use frames::units::DEG;
 
+use crate::utc::TimeOfDay;
+
 /// Most of what is taken: with `$`, without CR LF. The standard has 80; some receivers write more digits.
 pub const LONGEST: usize = 120;
+/// As `hhmmss`: a time that a day has only now and then.
+const LEAP_SECOND: u32 = 235_960;
 /// Knots in a m/s.
 const KNOT: f32 = 1852.0 / 3600.0;
 /// Slower than this a receiver cannot tell its course and says none, m/s: the base stands, within that.
@@ -50,6 +55,18 @@ pub struct Place {
     pub longitude: f32,
 }
 
+impl Place {
+    /// Whether another is nearer than `angle`, rad, in latitude and in longitude.
+    pub fn is_near(&self, other: &Self, angle: f32) -> bool {
+        (self.latitude - other.latitude).abs() < angle && math::wrap_pi(self.longitude - other.longitude).abs() < angle
+    }
+
+    /// Whether it is 0°, 0° to the last digit: what some receivers say that know none.
+    pub fn is_null(&self) -> bool {
+        self.latitude == 0.0 && self.longitude == 0.0
+    }
+}
+
 /// A motion over ground.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -64,6 +81,8 @@ pub struct Motion {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Fix {
+    /// Of the fix, of RMC; not all receivers say it, and second 60 is left.
+    pub time: Option<TimeOfDay>,
     /// Of RMC.
     pub place: Option<Place>,
     /// Of both.
@@ -132,11 +151,13 @@ pub fn parse(line: &[u8]) -> Result<Fix, Refused> {
             if field(2) != b"A" || !mode {
                 return Err(Refused::NotValid);
             }
+            let time = time(field(1)).ok_or(Refused::Field(1))?;
             let place = Place {
                 latitude: angle(field(3), field(4), *b"NS", 90).ok_or(Refused::Field(3))?,
                 longitude: angle(field(5), field(6), *b"EW", 180).ok_or(Refused::Field(5))?,
             };
             Ok(Fix {
+                time,
                 place: Some(place),
                 motion: Some(motion(field(7), 7, field(8), 8)?),
             })
@@ -146,6 +167,7 @@ pub fn parse(line: &[u8]) -> Result<Fix, Refused> {
                 return Err(Refused::NotValid);
             }
             Ok(Fix {
+                time: None,
                 place: None,
                 motion: Some(motion(field(5), 5, field(1), 1)?),
             })
@@ -205,6 +227,24 @@ fn motion(knots: &[u8], n: u8, degrees: &[u8], m: u8) -> Result<Motion, Refused>
         Some(((whole % 360) as f32 + fraction) * DEG as f32)
     };
     Ok(Motion { speed, course })
+}
+
+/// `hhmmss`, with or without a fraction; nothing in it of an empty field and of a leap second.
+fn time(value: &[u8]) -> Option<Option<TimeOfDay>> {
+    if value.is_empty() {
+        return Some(None);
+    }
+    let (hhmmss, fraction) = decimal(value)?;
+    if hhmmss == LEAP_SECOND {
+        return Some(None);
+    }
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a thousand at the most, and not negative"
+    )]
+    let ms = ((fraction * 1000.0 + 0.5) as u32).min(999);
+    TimeOfDay::new(hhmmss, ms).map(Some)
 }
 
 /// `dddmm.mmmm` and a letter, rad.
@@ -322,6 +362,37 @@ mod tests {
     }
 
     #[test]
+    fn times_are_those_of_the_fix() {
+        let of = |time: &str| read(&format!("GPRMC,{time},A,4717.1,N,00833.9,E,0.0,,,,,A")).map(|fix| fix.time);
+        let time = |hhmmss, ms| Ok(Some(TimeOfDay::new(hhmmss, ms).unwrap()));
+        assert_eq!(of("083559.00"), time(83_559, 0));
+        assert_eq!(of("235959.999"), time(235_959, 999));
+        assert_eq!(of("000000.0499"), time(0, 50));
+        assert_eq!(of("235959.99999"), time(235_959, 999));
+        assert_eq!(of("120000"), time(120_000, 0));
+        for none in ["", "235960", "235960.50"] {
+            assert_eq!(of(none), Ok(None), "{none}");
+        }
+        for bad in ["240000", "126000", "120060", "-1", "12:00:00", "1200000"] {
+            assert_eq!(of(bad), Err(Refused::Field(1)), "{bad}");
+        }
+        let vtg = parse(b"$GPVTG,77.52,T,,M,0.004,N,0.008,K,A*06").unwrap();
+        assert_eq!(vtg.time, None);
+    }
+
+    #[test]
+    fn places_are_near_over_the_date_line_and_null_to_the_last_digit() {
+        let place = |latitude: f32, longitude: f32| Place {
+            latitude: latitude.to_radians(),
+            longitude: longitude.to_radians(),
+        };
+        assert!(place(10.0, 179.996).is_near(&place(10.0, -179.996), 0.01_f32.to_radians()));
+        assert!(!place(10.0, 179.99).is_near(&place(10.0, -179.99), 0.01_f32.to_radians()));
+        assert!(!place(10.0, 0.0).is_near(&place(10.02, 0.0), 0.01_f32.to_radians()));
+        assert!(place(0.0, -0.0).is_null() && !place(0.0, 1e-6).is_null());
+    }
+
+    #[test]
     fn without_a_course_it_stands_or_nobody_knows_whither() {
         let velocity = |speed, course| Motion { speed, course }.north_east();
         assert_eq!(velocity(0.027 * KNOT, None), Some([0.0; 2]));
@@ -335,7 +406,7 @@ mod tests {
     fn the_unit_does_not_hear_itself() {
         let own = nmea::vtg(Talker::Gp, -3.0, 4.0).unwrap();
         assert_eq!(parse(own.as_bytes()), Err(Refused::NotValid));
-        let own = nmea::gll(Talker::Gp, 0.7, 0.1).unwrap();
+        let own = nmea::gll(Talker::Gp, None, 0.7, 0.1).unwrap();
         assert_eq!(parse(own.as_bytes()), Err(Refused::Other));
     }
 

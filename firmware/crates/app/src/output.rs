@@ -57,6 +57,7 @@ use crate::nmea::{self, HeadingMode, LONGEST, Line, Report, Sentence, Talker, Te
 use crate::record;
 use crate::settings::OutputConfig;
 use crate::shared::{Navigation, Shared};
+use crate::utc::Utc;
 
 /// Answers that wait for the line.
 pub const ANSWERS: usize = 4;
@@ -352,7 +353,7 @@ pub async fn run<M: RawMutex, W: Write>(shared: &Shared<M>, port: &Port<M>, tx: 
 
         // An estimate by samples of a wrong length is none, and neither is its σ.
         let told = navigation.as_ref().filter(|_| shared.clock().is_exact());
-        let mut bytes = compose(now_us, status.as_ref(), told, &turn, &config);
+        let mut bytes = compose(now_us, shared.utc(), status.as_ref(), told, &turn, &config);
         if with_status {
             let sentence = report(shared, now_us, status.as_ref(), told, &config);
             let _ = bytes.extend_from_slice(sentence.as_bytes());
@@ -370,6 +371,7 @@ pub async fn run<M: RawMutex, W: Write>(shared: &Shared<M>, port: &Port<M>, tx: 
 #[inline(never)]
 fn compose(
     now_us: u64,
+    utc: Option<Utc>,
     status: Option<&Status>,
     navigation: Option<&Navigation>,
     turn: &TurnRate,
@@ -378,6 +380,9 @@ fn compose(
     let (mode, estimate) = judge(now_us, status, navigation, config);
     let heading = estimate.map(|estimate| estimate.attitude.heading);
     let good = mode == HeadingMode::Autonomous;
+    // Of the estimate where there is one, not of the cycle.
+    let at_us = estimate.and(navigation).map_or(now_us, |navigation| navigation.t_us);
+    let time = utc.and_then(|utc| utc.at(at_us));
     let mut bytes = Vec::new();
     let mut put = |sentence: &Sentence| {
         // There is room for all of them, see `CYCLE`.
@@ -390,6 +395,7 @@ fn compose(
     }
     put(&nmea::rot(talker, estimate.and_then(|_| turn.get())));
     put(&nmea::pashr(
+        time,
         estimate.map(|estimate| (&estimate.attitude, &estimate.sd)),
         good,
     ));
@@ -397,7 +403,7 @@ fn compose(
         .and_then(|at| at.track)
         .filter(|_| mode != HeadingMode::Invalid);
     if let Some(Track { v_n, position }) = track {
-        let place = nmea::gll(talker, position.latitude, position.longitude);
+        let place = nmea::gll(talker, time, position.latitude, position.longitude);
         let motion = nmea::vtg(talker, v_n.x(), v_n.y());
         place.iter().chain(&motion).for_each(put);
     }
@@ -474,8 +480,10 @@ mod tests {
 
     use super::*;
     use crate::fault::Fault;
+    use crate::hal::ClockSource;
     use crate::log::{CalibrationFailure, GyrosCalibrated};
     use crate::settings::Settings;
+    use crate::utc::TimeOfDay;
 
     const D: f32 = DEG as f32;
 
@@ -562,6 +570,7 @@ mod tests {
             assert_eq!(estimate.is_some(), expected != V);
             let bytes = compose(
                 now_us,
+                None,
                 status.as_ref(),
                 navigation.as_ref(),
                 &TurnRate::new(0.5),
@@ -735,6 +744,38 @@ mod tests {
                 assert!(line.0.contains("$HEROT,343.8,A"));
             }
         }
+    }
+
+    /// Of the estimate in it, for ten minutes, not by the chip's own clock.
+    #[test]
+    fn a_receivers_time_is_carried_on() {
+        let (shared, _, line, mut unit) = bench(49_400);
+        let last = |line: &Line| {
+            let text = line.0.borrow().0.clone();
+            let pashr = text.lines().rfind(|line| line.starts_with("$PASHR,")).unwrap();
+            pashr.split(',').nth(1).unwrap().to_string()
+        };
+        run_to(&mut unit, 2_000);
+        assert_eq!(last(&line), "");
+        shared.utc_is(Utc {
+            said: TimeOfDay::new(235_959, 0).unwrap(),
+            t_us: 2_000_000,
+        });
+        // Cycles begin with every other estimate: the last before is that of 2 * 49.4 * 30 ms, and so on.
+        for (ms, time) in [(3_000, "235959.96"), (3_100, "000000.06"), (600_000, "000956.91")] {
+            run_to(&mut unit, ms);
+            assert_eq!(last(&line), time, "{ms}");
+        }
+        shared.set_clock(ClockSource::Internal);
+        run_to(&mut unit, 600_200);
+        assert_eq!(last(&line), "");
+        shared.set_clock(ClockSource::Crystal);
+        // Also where no estimate is told.
+        shared.status.sender().send(status(ModeName::Idle));
+        run_to(&mut unit, 600_400);
+        assert_eq!(last(&line), "000957.30");
+        run_to(&mut unit, 602_400);
+        assert_eq!(last(&line), "");
     }
 
     #[test]

@@ -38,6 +38,7 @@ use crate::record::Frame;
 use crate::rotor;
 use crate::sample::{ImuFacts, TimedSample};
 use crate::settings::Settings;
+use crate::utc::Utc;
 
 /// Samples that wait for the alignment: 158 ms at 202.4 a second, three times what it may be silent.
 pub const SAMPLES: usize = 32;
@@ -155,6 +156,8 @@ pub struct Shared<M: RawMutex> {
     imu: Mutex<M, Cell<Option<ImuFacts>>>,
     /// Of a receiver, for the alignment.
     pub(crate) fixes: Channel<M, Fix, FIXES>,
+    /// Time of day by a receiver.
+    utc: Mutex<M, Cell<Option<Utc>>>,
     counts: Mutex<M, Cell<SampleCounts>>,
     settings: Mutex<M, Cell<Settings>>,
     angles: Mutex<M, RefCell<Angles>>,
@@ -194,6 +197,7 @@ impl<M: RawMutex> Shared<M> {
             recording: AtomicBool::new(false),
             imu: Mutex::new(Cell::new(None)),
             fixes: Channel::new(),
+            utc: Mutex::new(Cell::new(None)),
             counts: Mutex::new(Cell::new(SampleCounts {
                 tally: Tally {
                     received: 0,
@@ -260,6 +264,15 @@ impl<M: RawMutex> Shared<M> {
     /// Says so, before the tasks start.
     pub fn set_clock(&self, clock: ClockSource) {
         self.internal_clock.store(!clock.is_exact(), Ordering::Relaxed);
+    }
+
+    /// Time of day by a receiver, once it has said one; none by the chip's own clock, which cannot carry it on.
+    pub fn utc(&self) -> Option<Utc> {
+        self.utc.lock(Cell::get).filter(|_| self.clock().is_exact())
+    }
+
+    pub(crate) fn utc_is(&self, utc: Utc) {
+        self.utc.lock(|cell| cell.set(Some(utc)));
     }
 
     /// Whether every sample is to go out on the serial line, see [`crate::record`].

@@ -52,6 +52,17 @@ impl Tap {
         self.anew();
     }
 
+    /// The aligner starts anew at another place.
+    pub fn moves(&mut self, place: Position) {
+        self.place = place;
+        self.anew();
+    }
+
+    /// Where the aligner is, by what it has been given.
+    pub const fn place(&self) -> &Position {
+        &self.place
+    }
+
     /// The aligner starts anew.
     pub fn anew(&mut self) {
         self.anew = true;

@@ -715,6 +715,7 @@ mod tests {
         ]
         .concat();
         let east = Ok(Request::Fix(Fix {
+            time: None,
             place: None,
             motion: Some(nmea_in::Motion {
                 speed: 10.0 * (1852.0 / 3600.0),

@@ -29,6 +29,7 @@ use embedded_storage_async::nor_flash::NorFlash;
 use frames::units::{DEG, DEG_PER_HOUR};
 use nav::deviation::Deviation;
 
+use crate::alignment::{AGREE, DOUBT_US, INSTANT_US};
 use crate::blackbox::{self, Memory};
 use crate::command::Command;
 use crate::hal::Supply;
@@ -37,6 +38,7 @@ use crate::nmea_in::{Fix, Place};
 use crate::output::Port;
 use crate::settings::{Group, Position, Settings, Source, Store, StoreError};
 use crate::shared::Shared;
+use crate::utc::Utc;
 
 mod grammar;
 
@@ -61,7 +63,7 @@ pub async fn run<M: RawMutex, F: NorFlash>(
     mut supply: impl Supply,
 ) -> ! {
     let mut lines = LineBuffer::new();
-    let mut keep_us = 0;
+    let mut keep = Keep::default();
     let mut bytes = [0; 16];
     loop {
         let count = rx.read(&mut bytes).await.unwrap_or(0);
@@ -74,7 +76,7 @@ pub async fn run<M: RawMutex, F: NorFlash>(
         for byte in bytes.iter().take(count) {
             if let Some(found) = lines.push(*byte) {
                 match found {
-                    Ok(Request::Fix(fix)) => heed(shared, &mut store, &mut supply, &fix, &mut keep_us).await,
+                    Ok(Request::Fix(fix)) => heed(shared, &mut store, &mut supply, &fix, &mut keep).await,
                     Ok(request) => obey(shared, port, &mut store, &mut records, &mut supply, request).await,
                     Err(error) => port.answer(nmea::answer(false, error.expected())).await,
                 }
@@ -83,26 +85,72 @@ pub async fn run<M: RawMutex, F: NorFlash>(
     }
 }
 
-/// Passes on what a receiver says, and keeps the place.
+/// A place that a receiver says and that is not the one kept.
+#[derive(Default)]
+struct Keep {
+    /// The last such, and when it was said, µs.
+    said: Option<(Place, u64)>,
+    /// How many in a row have agreed with it, itself among them.
+    agreed: u8,
+    /// When the next one may be kept, µs.
+    due_us: u64,
+}
+
+impl Keep {
+    /// Whether a place that is not the one kept is to be believed: one alone may be what a receiver says that has just been
+    /// switched on. 0°, 0° sharp never is, as receivers without a fix say it over and over.
+    fn believes(&mut self, place: Place, t_us: u64) -> bool {
+        let before = self
+            .said
+            .filter(|(said, at_us)| said.is_near(&place, KEEP_AWAY) && t_us.saturating_sub(*at_us) <= DOUBT_US);
+        if place.is_null() {
+            self.said = None;
+            return false;
+        }
+        match before {
+            // Another sentence of the same instant.
+            Some((_, at_us)) if t_us.saturating_sub(at_us) < INSTANT_US => return self.agreed >= AGREE,
+            Some(_) => self.agreed = self.agreed.saturating_add(1),
+            None => self.agreed = 1,
+        }
+        self.said = Some((place, t_us));
+        self.agreed >= AGREE
+    }
+}
+
+/// Passes on what a receiver says, and keeps time and place once they are believed.
 async fn heed<M: RawMutex, F: NorFlash>(
     shared: &Shared<M>,
     store: &mut Store<F>,
     supply: &mut impl Supply,
     fix: &Fix,
-    keep_us: &mut u64,
+    keep: &mut Keep,
 ) {
     // The alignment hears of the next one.
     let _ = shared.fixes.try_send(*fix);
-    let Some(Place { latitude, longitude }) = fix.place else {
+    let Some(place) = fix.place else {
         return;
     };
+    let Place { latitude, longitude } = place;
     let last = shared.settings().last_position;
-    let moved = (latitude - last.latitude).abs().max((longitude - last.longitude).abs());
+    let kept = Place {
+        latitude: last.latitude,
+        longitude: last.longitude,
+    };
+    let is_kept = last.source == Source::Gnss && place.is_near(&kept, KEEP_AWAY);
     let now_us = Instant::now().as_micros();
-    if last.source == Source::Gnss && moved < KEEP_AWAY || now_us < *keep_us {
+    if is_kept {
+        keep.said = None;
+    } else if !keep.believes(place, now_us) {
         return;
     }
-    *keep_us = now_us + KEEP_S * 1_000_000;
+    if let Some(said) = fix.time {
+        shared.utc_is(Utc { said, t_us: now_us });
+    }
+    if is_kept || now_us < keep.due_us {
+        return;
+    }
+    keep.due_us = now_us + KEEP_S * 1_000_000;
     let position = Position {
         latitude,
         longitude,
