@@ -904,7 +904,11 @@ fn inspect(args: &InspectArgs) -> Done {
     let elf = args.elf.as_deref().map(Elf::read).transpose().map_err(words)?;
     // A log's own errors do not begin with its name, those of files do.
     let named = |e: inspect::InspectError| match e {
-        inspect::InspectError::Empty | inspect::InspectError::NeedsElf | inspect::InspectError::NotOurs => {
+        inspect::InspectError::Empty
+        | inspect::InspectError::NeedsElf
+        | inspect::InspectError::NotOurs
+        | inspect::InspectError::SavedAsText
+        | inspect::InspectError::NoTimes => {
             format!("{}: {e}", args.log.display())
         }
         other => other.to_string(),
@@ -925,6 +929,9 @@ fn inspect(args: &InspectArgs) -> Done {
         inspect::report::csv(path, &timeline).map_err(words)?;
     }
     if let Some(path) = &args.svg {
+        if !timeline.has_times() {
+            return Err(named(inspect::InspectError::NoTimes));
+        }
         inspect::chart::svg(path, &timeline).map_err(|e| cannot_write(path, &e))?;
     }
     if args.json {

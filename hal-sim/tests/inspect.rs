@@ -150,6 +150,82 @@ fn a_log_in_utf16_is_the_same_log() {
     }
 }
 
+/// Some printers are told to leave out the time: what the log does not tell is not made up.
+#[test]
+fn a_log_without_times_is_told_without_them() {
+    let with = text();
+    let without: String = with
+        .lines()
+        .map(|line| match line.split_once(' ') {
+            Some((time, rest)) if time.parse::<f64>().is_ok() => format!("{}\n", rest.trim_start()),
+            _ => format!("{line}\n"),
+        })
+        .collect();
+    let (timed, untimed) = (
+        of_bytes(with.as_bytes(), None).unwrap(),
+        of_bytes(without.as_bytes(), None).unwrap(),
+    );
+    let modes = |of: &Timeline| of.modes.iter().map(|span| span.mode).collect::<Vec<_>>();
+    assert_eq!(modes(&timed), modes(&untimed));
+    assert_eq!((timed.state(), timed.resets), (untimed.state(), untimed.resets));
+    assert_eq!(timed.estimates.len(), untimed.estimates.len());
+    let table = report::table(&untimed);
+    assert!(
+        table.contains("without times\n") || table.contains("without times,"),
+        "{table}"
+    );
+    assert!(
+        table.contains("\nhoming at the end\n") && table.contains("\nfault: encoder-invalid"),
+        "{table}"
+    );
+    assert!(
+        !table.contains(" s: ") && !table.contains("0.0 s") && !table.contains("NaN"),
+        "{table}"
+    );
+    let json = serde_json::to_value(report::summary(&untimed)).unwrap();
+    for key in ["from_s", "to_s", "aligned_at_s", "aligning_at_s"] {
+        assert!(json[key].is_null(), "{key}");
+    }
+    let dir = TempDir::new().unwrap();
+    let output = hal_sim(dir.path(), &["inspect", "-", "--csv", "e.csv"], without.as_bytes());
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let csv = fs::read_to_string(dir.path().join("e.csv")).unwrap();
+    assert!(csv.lines().nth(1).unwrap().starts_with(",aligned,359.0,"), "{csv}");
+    let output = hal_sim(dir.path(), &["inspect", "-", "--svg", "e.svg"], without.as_bytes());
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        output.status.code() == Some(2) && error.contains("the log has no times"),
+        "{error}"
+    );
+}
+
+/// As `defmt-print --json` writes frames: one object a line, the version of its schema first.
+#[test]
+fn a_log_in_json_is_the_same_log() {
+    let (mut json, mut plain) = ("{\"schema_version\":1}\n".to_owned(), String::new());
+    for line in text().lines().skip(1) {
+        let Some((time, rest)) = line.split_once(' ').filter(|(time, _)| time.parse::<f64>().is_ok()) else {
+            continue;
+        };
+        let (level, data) = rest.split_once(' ').unwrap();
+        plain += &format!("{line}\n");
+        let object = serde_json::json!({
+            "data": data.trim_start(),
+            "host_timestamp": 1_700_000_000_000_000_000_i64,
+            "level": level,
+            "location": { "file": "src/log.rs", "line": 28, "module_path": null },
+            "target_timestamp": time,
+        });
+        json += &format!("{object}\n");
+    }
+    let timeline = of_bytes(json.as_bytes(), None).unwrap();
+    assert_eq!(
+        report::table(&timeline),
+        report::table(&of_bytes(plain.as_bytes(), None).unwrap())
+    );
+    assert_story(&timeline);
+}
+
 #[test]
 fn the_words_are_those_of_the_unit() {
     use ModeName::{Aligned, Coarse, Fine, Homing, Idle, SelfTest};
@@ -449,6 +525,16 @@ fn what_is_no_log_is_refused_in_words() {
         of_bytes(&junk, Some(image.elf())),
         Err(InspectError::WrongElf { .. })
     ));
+
+    // A terminal that saves text: each byte beyond ASCII a character, or a mark.
+    let latin: String = stream.iter().map(|byte| char::from(*byte)).collect();
+    for text in [latin, String::from_utf8_lossy(&stream).into_owned()] {
+        assert_eq!(of_bytes(text.as_bytes(), None), Err(InspectError::SavedAsText));
+        assert_eq!(
+            of_bytes(text.as_bytes(), Some(image.elf())),
+            Err(InspectError::SavedAsText)
+        );
+    }
 
     let no_elf = dir.path().join("no.elf");
     fs::write(&no_elf, b"neither").unwrap();

@@ -403,7 +403,7 @@ pub(super) struct ReproduceArgs {
 
 #[derive(Args)]
 pub(super) struct InspectArgs {
-    /// Raw stream of defmt, or output of probe-rs, defmt-print, `cargo emulate`, `hal-sim unit`; `-` is standard input
+    /// Raw stream of defmt, or output of probe-rs, defmt-print (also --json), `cargo emulate`, `hal-sim unit`; `-` is standard input
     pub(super) log: PathBuf,
     /// The image that wrote the stream of defmt
     #[arg(long, value_name = "ELF")]

@@ -11,7 +11,7 @@ use std::time::Duration;
 use log::Level;
 
 use super::defmt::Elf;
-use super::report::count;
+use super::report::{count, seconds};
 use super::timeline::{EstimateAt, News, Timeline};
 use super::{InspectError, Reader};
 use crate::dial::dial;
@@ -129,8 +129,8 @@ pub fn plain(news: &News) -> String {
         News::Estimate(estimate) => {
             let a = &estimate.attitude;
             format!(
-                "{:>10.3}  {:<11} heading {:>8.3}°  σ {:>7.4}°  pitch {:>7.3}°  roll {:>7.3}°\n",
-                estimate.t_s,
+                "{:>10}  {:<11} heading {:>8.3}°  σ {:>7.4}°  pitch {:>7.3}°  roll {:>7.3}°\n",
+                seconds(estimate.t_s),
                 estimate.mode.unwrap_or("unknown"),
                 a.heading_deg,
                 a.heading_sd_deg,
@@ -140,7 +140,7 @@ pub fn plain(news: &News) -> String {
         }
         News::Said { t_s, level, text } => {
             let level = level.map_or("host", |level: Level| level.as_str());
-            format!("{t_s:>10.3}  {level:<5} {text}\n")
+            format!("{:>10}  {level:<5} {text}\n", seconds(*t_s))
         }
     }
 }
@@ -182,10 +182,14 @@ impl Screen {
 
     fn rows(&self, timeline: &Timeline) -> Vec<String> {
         let since = timeline.modes.last().map_or(0.0, |span| timeline.to_s - span.from_s);
+        let when = if timeline.has_times() {
+            format!(" for {since:.0} s, {:.1} s since the start", timeline.to_s)
+        } else {
+            String::new()
+        };
         let mut rows = vec![format!(
-            "{} for {since:.0} s, {:.1} s since the start; {}, {}, {} lost",
+            "{}{when}; {}, {}, {} lost",
             timeline.state(),
-            timeline.to_s,
             count(timeline.faults.len() as u64, "fault"),
             count(timeline.resets, "reset"),
             count(timeline.samples.lost, "sample")
@@ -200,7 +204,7 @@ impl Screen {
             rows.push(format!(" {line}   {figure}"));
         }
         for fault in timeline.faults.iter().rev().take(2) {
-            rows.push(format!("fault {:>8.3} s  {}", fault.t_s, fault.words()));
+            rows.push(format!("fault {:>8} s  {}", seconds(fault.t_s), fault.words()));
         }
         rows.extend(self.said.iter().cloned());
         rows
@@ -215,7 +219,7 @@ fn figures(estimate: Option<&EstimateAt>, timeline: &Timeline) -> Vec<String> {
         rows.push(format!("σ       {:>9.4}°", a.heading_sd_deg));
         rows.push(format!("pitch   {:>9.3}°", a.pitch_deg));
         rows.push(format!("roll    {:>9.3}°", a.roll_deg));
-        rows.push(format!("at      {t_s:>9.3} s"));
+        rows.push(format!("at      {:>9} s", seconds(*t_s)));
     } else if let Some(coarse) = timeline.coarse.last() {
         rows.push(format!("heading {:>9.2}°, coarse", coarse.heading_deg));
         rows.push(format!("σ       {:>9.2}°", coarse.heading_sd_deg));

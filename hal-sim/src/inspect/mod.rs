@@ -74,6 +74,10 @@ pub enum InspectError {
     },
     /// Nothing in the log is the unit's.
     NotOurs,
+    /// The bytes of a binary stream were written as text in UTF-8.
+    SavedAsText,
+    /// A chart is wanted of a log without times.
+    NoTimes,
 }
 
 impl fmt::Display for InspectError {
@@ -100,6 +104,13 @@ impl fmt::Display for InspectError {
             Self::NotOurs => f.write_str(
                 "no line of the unit's log in it: expected are a raw stream of defmt, or the output of probe-rs, \
                  defmt-print, `cargo emulate` or `hal-sim unit`; samples in CSV are for `replay`",
+            ),
+            Self::SavedAsText => f.write_str(
+                "the log is a binary stream that was saved as text in UTF-8, which changes its bytes: save the bytes as they come, \
+                 or the text that probe-rs or defmt-print makes of them",
+            ),
+            Self::NoTimes => f.write_str(
+                "the log has no times, and a chart needs them: leave out --svg, or let the printer of the log show the time of a line",
             ),
         }
     }
@@ -264,6 +275,16 @@ fn take(timeline: &mut Timeline, line: &mut Vec<u8>, each: &mut dyn FnMut(&Timel
     line.clear();
 }
 
+/// Characters beyond ASCII that a stream does not have by chance in a row of UTF-8.
+const WIDE: usize = 8;
+
+/// Whether a stream of bytes went through a terminal that saves text: UTF-8 with zeros, and many characters beyond ASCII.
+fn is_saved_as_text(bytes: &[u8]) -> bool {
+    let text = bytes.utf8_chunks().next().map_or("", |chunk| chunk.valid());
+    // The last character may be cut off.
+    bytes.len() - text.len() < 4 && text.contains('\0') && text.chars().filter(|c| !c.is_ascii()).count() >= WIDE
+}
+
 /// Text in UTF-16, by its mark or little-endian without one, as UTF-8.
 fn of_utf16(bytes: &[u8]) -> String {
     let big = bytes.starts_with(b"\xfe\xff") || (bytes.first() == Some(&0) && !bytes.starts_with(b"\xff\xfe"));
@@ -278,12 +299,19 @@ fn of_utf16(bytes: &[u8]) -> String {
 /// [`InspectError`] where it cannot be read, or is no log of the unit.
 pub fn of_bytes(bytes: &[u8], elf: Option<Elf>) -> Result<Timeline, InspectError> {
     let mut reader = Reader::new(elf);
-    if is_utf16(bytes) {
-        reader.push(of_utf16(bytes).as_bytes(), &mut |_, _| {})?;
+    let read = if is_utf16(bytes) {
+        reader.push(of_utf16(bytes).as_bytes(), &mut |_, _| {})
     } else {
-        reader.push(bytes, &mut |_, _| {})?;
+        reader.push(bytes, &mut |_, _| {})
+    };
+    match read.and_then(|()| reader.finish(&mut |_, _| {})) {
+        Err(InspectError::NeedsElf | InspectError::WrongElf { .. } | InspectError::NotOurs)
+            if is_saved_as_text(bytes) =>
+        {
+            Err(InspectError::SavedAsText)
+        }
+        read => read,
     }
-    reader.finish(&mut |_, _| {})
 }
 
 /// Opens a log; `-` is standard input.

@@ -44,25 +44,27 @@ pub fn summary(timeline: &Timeline) -> Summary<'_> {
 pub fn table(timeline: &Timeline) -> String {
     let mut text = String::new();
     // Writing to a String does not fail.
-    let _ = write!(
-        text,
-        "{}: {}, {:.1} to {:.1} s",
-        timeline.source,
-        count(timeline.lines, "line"),
-        timeline.from_s,
-        timeline.to_s
-    );
+    let _ = write!(text, "{}: {}, ", timeline.source, count(timeline.lines, "line"));
+    let _ = if timeline.has_times() {
+        write!(text, "{:.1} to {:.1} s", timeline.from_s, timeline.to_s)
+    } else {
+        write!(text, "without times")
+    };
     let _ = match timeline.source {
         super::Source::Defmt => writeln!(text, ", {} damaged", count(timeline.damaged, "frame")),
         super::Source::Text => writeln!(text, ", {}", count(timeline.sentences, "sentence")),
     };
-    let _ = writeln!(
-        text,
-        "{} at {:.1} s{}",
-        timeline.state(),
-        timeline.to_s,
-        aligning(timeline)
-    );
+    let _ = if timeline.has_times() {
+        writeln!(
+            text,
+            "{} at {:.1} s{}",
+            timeline.state(),
+            timeline.to_s,
+            aligning(timeline)
+        )
+    } else {
+        writeln!(text, "{} at the end", timeline.state())
+    };
     text += &modes(timeline);
     text += &estimates(timeline);
     text += &events(timeline);
@@ -71,6 +73,24 @@ pub fn table(timeline: &Timeline) -> String {
 
 pub(super) fn count(n: u64, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
+}
+
+/// A time in a table, s.
+pub(super) fn seconds(t_s: f64) -> String {
+    if t_s.is_nan() {
+        "-".to_owned()
+    } else {
+        format!("{t_s:.3}")
+    }
+}
+
+/// When something was, where that is known.
+fn at(t_s: f64) -> String {
+    if t_s.is_nan() {
+        String::new()
+    } else {
+        format!(" at {t_s:.3} s")
+    }
 }
 
 fn aligning(timeline: &Timeline) -> String {
@@ -92,10 +112,10 @@ fn modes(timeline: &Timeline) -> String {
     for span in &timeline.modes {
         let _ = writeln!(
             text,
-            "{:<12}{:>10.3}{:>10.3}{}",
+            "{:<12}{:>10}{:>10}{}",
             span.mode,
-            span.from_s,
-            span.to_s - span.from_s,
+            seconds(span.from_s),
+            seconds(span.to_s - span.from_s),
             // The line of the result comes before the one of the mode that follows, by less than they have digits for.
             timeline
                 .coarse
@@ -122,9 +142,9 @@ fn estimates(timeline: &Timeline) -> String {
         let attitude = &estimate.attitude;
         let _ = writeln!(
             text,
-            "{:<12}{:>10.3}{:>14.3}{:>12.4}{:>12.3}{:>12.3}",
+            "{:<12}{:>10}{:>14.3}{:>12.4}{:>12.3}{:>12.3}",
             estimate.mode.unwrap_or("unknown"),
-            estimate.t_s,
+            seconds(estimate.t_s),
             attitude.heading_deg,
             attitude.heading_sd_deg,
             attitude.pitch_deg,
@@ -154,11 +174,11 @@ fn events(timeline: &Timeline) -> String {
     for fault in timeline.faults.iter().take(EVENTS) {
         let _ = writeln!(
             text,
-            "fault at {:.3} s: {}{}",
-            fault.t_s,
+            "fault{}: {}{}",
+            at(fault.t_s),
             fault.words(),
             match (fault.retry, fault.latched) {
-                (Some((attempt, t_s)), _) => format!("; attempt {attempt} at {t_s:.3} s"),
+                (Some((attempt, t_s)), _) => format!("; attempt {attempt}{}", at(t_s)),
                 (None, true) => "; latched".to_owned(),
                 (None, false) => String::new(),
             }
@@ -166,12 +186,12 @@ fn events(timeline: &Timeline) -> String {
     }
     for (what, said) in [("error", &timeline.errors), ("alignment", &timeline.setbacks)] {
         for said in said.iter().take(EVENTS) {
-            let _ = writeln!(text, "{what} at {:.3} s: {}", said.t_s, said.text);
+            let _ = writeln!(text, "{what}{}: {}", at(said.t_s), said.text);
         }
     }
     for start in &timeline.starts {
         let cause = start.cause.as_deref().unwrap_or("a cause that the log does not tell");
-        let _ = writeln!(text, "start at {:.3} s by {cause}", start.t_s);
+        let _ = writeln!(text, "start{} by {cause}", at(start.t_s));
     }
     let s = &timeline.samples;
     let _ = writeln!(
@@ -201,7 +221,7 @@ pub fn csv(path: &Path, timeline: &Timeline) -> Result<(), InspectError> {
         for estimate in &timeline.estimates {
             let a = &estimate.attitude;
             writer.serialize((
-                estimate.t_s,
+                Some(estimate.t_s).filter(|t_s| !t_s.is_nan()),
                 estimate.mode.unwrap_or("unknown"),
                 a.heading_deg,
                 a.heading_sd_deg,

@@ -4,12 +4,15 @@
 //! 69.943000 INFO heading 335.67 deg, ...          defmt-print; the next line tells where in the source
 //! 69.943000 [INFO ] heading 335.67 deg, ... (app src/log.rs:12)                               probe-rs
 //! [   69.943000] INFO  heading 335.67 deg, ...                            cargo emulate, hal-sim unit
+//! {"data":"aligned","level":"INFO","target_timestamp":"71.807000",…}                     defmt-print --json
 //! $PRNST,184.08,aligned,115,0.468,,,,34.49*09                                 the unit's serial port
 //! ```
 //!
-//! A line is one of the log where it has a level; the number before it is its time.
+//! A line is one of the log where it has a level; the number before it is its time. JSON is read by the names of the fields of
+//! defmt-json-schema 0.1, `v1::JsonFrame`: what else is in an object does not matter.
 
 use log::Level;
+use serde_json::Value;
 
 use super::wording::{self, Attitude};
 use crate::nmea;
@@ -50,6 +53,9 @@ pub struct Status {
 
 /// A line of the log, without what stands around it.
 pub fn line(raw: &str) -> Option<Line> {
+    if raw.starts_with('{') {
+        return json(raw);
+    }
     let plain = plain(raw);
     let (begin, end, level) = level(&plain)?;
     let time = plain[..begin].split_whitespace().rev().find_map(time);
@@ -58,6 +64,17 @@ pub fn line(raw: &str) -> Option<Line> {
         t_s: time,
         level,
         text: without_place(text).to_owned(),
+    })
+}
+
+/// A frame of defmt as JSON; without a level, as `println!` of defmt has none, it is a host's.
+fn json(raw: &str) -> Option<Line> {
+    let object: Value = serde_json::from_str(raw).ok()?;
+    let of = |name: &str| object.get(name)?.as_str();
+    Some(Line {
+        t_s: of("target_timestamp").and_then(time),
+        level: of("level").and_then(|level| level.parse().ok()),
+        text: of("data")?.to_owned(),
     })
 }
 

@@ -101,6 +101,9 @@ pub struct StartAt {
     pub t_s: f64,
     /// By what, as the unit has found; none where it did not tell.
     pub cause: Option<String>,
+    /// Modes told before it.
+    #[serde(skip)]
+    pub(super) modes: usize,
 }
 
 /// A line that stands for itself.
@@ -160,7 +163,7 @@ pub struct Timeline {
     pub damaged: u64,
     /// Sentences of the serial port.
     pub sentences: u64,
-    /// The first time in it, s.
+    /// The first time in it, s; no number where the log has no times, as all others then.
     pub from_s: f64,
     /// The last time in it, s; times of a unit that was reset go on from there.
     pub to_s: f64,
@@ -189,6 +192,9 @@ pub struct Timeline {
     offset_s: f64,
     #[serde(skip)]
     clock_s: Option<f64>,
+    /// A line has had a time.
+    #[serde(skip)]
+    timed: bool,
     /// Attitude of the serial line that waits for the time of its second.
     #[serde(skip)]
     attitude: Option<Attitude>,
@@ -208,8 +214,8 @@ impl Timeline {
             understood: 0,
             damaged: 0,
             sentences: 0,
-            from_s: 0.0,
-            to_s: 0.0,
+            from_s: f64::NAN,
+            to_s: f64::NAN,
             modes: Vec::new(),
             estimates: Vec::new(),
             coarse: Vec::new(),
@@ -222,10 +228,16 @@ impl Timeline {
             wording: Wording::learn(),
             offset_s: 0.0,
             clock_s: None,
+            timed: false,
             attitude: None,
             begun: false,
             tells: [false; 2],
         }
+    }
+
+    /// Whether anything in it has a time.
+    pub fn has_times(&self) -> bool {
+        self.clock_s.is_some()
     }
 
     /// The mode at the end; `unknown` where no line told of one.
@@ -233,19 +245,20 @@ impl Timeline {
         self.mode().unwrap_or("unknown")
     }
 
-    /// When the unit first was in a mode, s.
+    /// When the unit first was in a mode, s; none where the log has no time of it.
     pub fn first(&self, mode: ModeName) -> Option<f64> {
         let spans = self.modes.iter();
         spans
             .clone()
             .find(|span| span.mode == mode.as_str())
             .map(|span| span.from_s)
+            .filter(|t_s| !t_s.is_nan())
     }
 
     fn mode(&self) -> Option<&'static str> {
         let last = self.modes.last()?;
         // A unit that has started since is in none yet.
-        let started = self.starts.last().is_some_and(|start| start.t_s > last.from_s);
+        let started = self.starts.last().is_some_and(|start| start.modes == self.modes.len());
         (!started).then_some(last.mode)
     }
 
@@ -265,9 +278,10 @@ impl Timeline {
         }
         self.clock_s = Some(clock_s);
         self.to_s = self.to_s.max(t_s);
+        let count = self.modes.len();
         if let Some(span) = self.modes.last_mut()
             && !back
-            && self.starts.last().is_none_or(|start| start.t_s <= span.from_s)
+            && self.starts.last().is_none_or(|start| start.modes < count)
         {
             span.to_s = self.to_s;
         }
@@ -277,7 +291,11 @@ impl Timeline {
     fn start(&mut self, t_s: f64, cause: Option<String>) {
         // The log's first word of the unit is its start, and any later one is a reset.
         self.resets += u64::from(self.lines > 1 || self.sentences > 1);
-        self.starts.push(StartAt { t_s, cause });
+        self.starts.push(StartAt {
+            t_s,
+            cause,
+            modes: self.modes.len(),
+        });
         self.attitude = None;
     }
 
@@ -308,6 +326,7 @@ impl Timeline {
         let told = line.level.and_then(|_| self.wording.read(&line.text));
         self.lines += 1;
         self.understood += u64::from(told.is_some());
+        self.timed |= line.t_s.is_some();
         let (t_s, back) = self.time(line.t_s);
         let begun = core::mem::replace(&mut self.begun, told == Some(Told::Version));
         if back && !matches!(told, Some(Told::Started { .. } | Told::Version)) {
@@ -389,7 +408,7 @@ impl Timeline {
             return None;
         }
         // Among lines with times these go on to hold.
-        let (t_s, back) = self.time((self.lines == 0).then_some(status.t_s));
+        let (t_s, back) = self.time((!self.timed).then_some(status.t_s));
         if back {
             self.start(t_s, None);
         }
@@ -416,6 +435,9 @@ impl Timeline {
             .filter(|pair| !self.starts.iter().any(|s| (pair[0].t_s..=pair[1].t_s).contains(&s.t_s)))
             .map(|pair| pair[1].t_s - pair[0].t_s)
             .collect();
+        if !self.has_times() {
+            return None;
+        }
         intervals.sort_by(f64::total_cmp);
         Some((*intervals.get(intervals.len() / 2)?, *intervals.last()?))
     }
@@ -427,7 +449,7 @@ impl Timeline {
             .iter()
             .rev()
             .take_while(|estimate| estimate.attitude.heading_sd_deg < sd_deg);
-        kept.last().map(|estimate| estimate.t_s)
+        kept.last().map(|estimate| estimate.t_s).filter(|t_s| !t_s.is_nan())
     }
 }
 
