@@ -277,15 +277,14 @@ impl Reading {
 
 /// Where the aligner stands, as reports name it.
 pub fn state_name<T: Real, const B: usize>(aligner: &Aligner<T, B>) -> &'static str {
-    match (aligner.mode(), aligner.not_ready()) {
-        (_, Some(NotReady::Inconsistent { .. })) => "inconsistent",
-        (_, Some(NotReady::Ambiguous { .. })) => "ambiguous",
-        (Mode::Settling, _) => "settling",
-        (Mode::Coarse, _) => "coarse",
-        (Mode::CatchingUp, _) => "catching-up",
-        (Mode::Fine, _) => "fine",
-        (Mode::Aligned, _) => "aligned",
-    }
+    let mode = match aligner.mode() {
+        Mode::Settling => "settling",
+        Mode::Coarse => "coarse",
+        Mode::CatchingUp => "catching-up",
+        Mode::Fine => "fine",
+        Mode::Aligned => "aligned",
+    };
+    aligner.not_ready().as_ref().and_then(doubted).unwrap_or(mode)
 }
 
 /// Why the aligner is not aligned, for people; `None` where it is.
@@ -293,7 +292,20 @@ pub fn reason<T: Real, const B: usize>(aligner: &Aligner<T, B>) -> Option<String
     aligner.not_ready().map(|reason| describe_not_ready(&reason))
 }
 
-fn describe_not_ready<T: Real>(reason: &NotReady<T>) -> String {
+/// How reports name the state in which the innovations do not fit the model.
+pub const INCONSISTENT: &str = "inconsistent";
+
+/// The state by why the aligner does not stand by its estimate, if that is why.
+pub fn doubted<T: Real>(not_ready: &NotReady<T>) -> Option<&'static str> {
+    match not_ready {
+        NotReady::Inconsistent { .. } => Some(INCONSISTENT),
+        NotReady::Ambiguous { .. } => Some("ambiguous"),
+        _ => None,
+    }
+}
+
+/// Why an estimate is not to be relied on, for people.
+pub fn describe_not_ready<T: Real>(reason: &NotReady<T>) -> String {
     match reason {
         NotReady::Collecting { remaining } => format!("coarse alignment needs {:.1} s more", remaining.to_f64()),
         NotReady::CatchingUp { queued } => format!("{queued} increments wait for the fine filter"),

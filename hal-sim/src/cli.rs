@@ -29,6 +29,7 @@ use hal_sim::log::{
 };
 use hal_sim::monte_carlo;
 use hal_sim::observability::{self, Attitude, Segment};
+use hal_sim::outcome::{alignment, tagged};
 use hal_sim::replay;
 use hal_sim::report::{self, Origin};
 use hal_sim::reproduce;
@@ -134,7 +135,7 @@ fn run(args: &RunArgs, quiet: bool) -> Done {
     };
     report::run(&dir, &origin, &result, &observer.moments, &observer.rotor).map_err(words)?;
     if args.json {
-        print_json(&result)?;
+        print_json(&alignment(&result))?;
     } else {
         print(&table::run(&result))?;
         print(&format!("report: {}\n", dir.join("report.html").display()))?;
@@ -209,7 +210,7 @@ fn monte_carlo(args: &MonteCarloArgs, quiet: bool) -> Done {
     };
     report::monte_carlo(&dir, &origin, &result).map_err(words)?;
     if args.json {
-        print_json(&result)?;
+        print_json(&tagged("monte-carlo", &result))?;
     } else {
         print(&table::monte_carlo(&result))?;
         print(&format!("report: {}\n", dir.join("report.html").display()))?;
@@ -236,7 +237,7 @@ fn bound(args: &BoundArgs) -> Done {
     };
     report::bound(&dir, &origin, &result).map_err(words)?;
     if args.json {
-        print_json(&result)?;
+        print_json(&tagged("bound", &result))?;
     } else {
         print(&table::bound(&result))?;
         print(&format!("report: {}\n", dir.join("report.html").display()))?;
@@ -333,7 +334,7 @@ fn replay(args: &ReplayArgs, quiet: bool) -> Done {
         report::replay(dir, &origin, &result, moments).map_err(words)?;
     }
     if args.json {
-        print_json(&result)?;
+        print_json(&alignment(&result))?;
     } else {
         print(&table::replay(&result))?;
         if let Some(dir) = &args.report {
@@ -603,7 +604,7 @@ fn unit(args: &UnitArgs, quiet: bool) -> Done {
     observer.nmea.map_or(Ok(()), NmeaFile::finish)?;
     let ratio = result.t_s / begun.elapsed().as_secs_f64().max(1e-9);
     if args.json {
-        print_json(&result)?;
+        print_json(&alignment(&result))?;
     } else {
         print(&table::unit(&result))?;
     }
@@ -721,7 +722,7 @@ fn soak(args: &SoakArgs, quiet: bool) -> Done {
     let report = hal_sim::soak::run(&config, |t_s| bar.set_position(t_s as u64)).map_err(words)?;
     bar.finish_and_clear();
     if args.json {
-        print_json(&report)?;
+        print_json(&tagged("soak", &report))?;
     } else {
         print(&report.table())?;
     }
@@ -779,7 +780,7 @@ fn observe(args: &ObservabilityArgs) -> Done {
         .collect();
     let found = observability::Report::of(&attitude, args.latitude_deg * radians, &segments).map_err(words)?;
     if args.json {
-        print_json(&found)?;
+        print_json(&tagged("observability", &found))?;
     } else {
         print(&table::observability(&found))?;
     }
@@ -810,7 +811,7 @@ fn allan(args: &AllanArgs, quiet: bool) -> Done {
         std::fs::write(unit, report.unit_toml()).map_err(|e| cannot_write(unit, &e))?;
     }
     if args.json {
-        print_json(&report)?;
+        print_json(&tagged("allan", &report))?;
     } else {
         print(&report.table())?;
         print(&format!("plot: {}\n", args.plot.display()))?;
@@ -849,7 +850,7 @@ fn calibrate(args: &CalibrateArgs, quiet: bool) -> Done {
         calibrate::correct_log(&mut log, &input.path, corrected, &calibration).map_err(words)?;
     }
     if args.json {
-        print_json(&report)?;
+        print_json(&tagged("calibrate", &report))?;
     } else {
         print(&report.table())?;
     }
@@ -888,7 +889,8 @@ fn reproduce(args: &ReproduceArgs, quiet: bool) -> Done {
     bar.finish_and_clear();
     reproduce::page(&args.out, &reports, &command_line()).map_err(words)?;
     if args.json {
-        print_json(&reports)?;
+        let tagged: Vec<_> = reports.iter().map(|report| tagged("reproduce", report)).collect();
+        print_json(&tagged)?;
     } else {
         print(&reproduce::summary(&reports))?;
         print(&format!("report: {}\n", args.out.join("report.html").display()))?;
@@ -935,7 +937,7 @@ fn inspect(args: &InspectArgs) -> Done {
         inspect::chart::svg(path, &timeline).map_err(|e| cannot_write(path, &e))?;
     }
     if args.json {
-        print_json(&inspect::report::summary(&timeline))?;
+        print_json(&tagged("inspect", &inspect::report::summary(&timeline)))?;
     } else {
         print(&inspect::report::table(&timeline))?;
     }

@@ -26,6 +26,7 @@ pub mod log;
 pub mod monte_carlo;
 pub mod nmea;
 pub mod observability;
+pub mod outcome;
 pub mod plant;
 pub mod plot;
 pub mod replay;

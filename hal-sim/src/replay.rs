@@ -58,28 +58,41 @@ impl From<AlignerError> for ReplayError {
 /// The unit's estimate for the body at the last row of a log; of a recording the last one the unit aligned with.
 ///
 /// Where the aligner has no estimate, or does not stand by it (`state` is `inconsistent`), the figures are `null` and
-/// `reason` says why.
+/// `reason` says why. In JSON it has the keys of an [`Outcome`](crate::outcome::Outcome) besides.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Replay {
     /// `aligned`, `fine` (σ not yet small), `inconsistent`, or where the aligner stood.
+    #[serde(skip)]
     pub state: &'static str,
     /// Time of the last row that the aligner was given, s.
+    #[serde(skip)]
     pub t_s: f64,
+    /// When it first was aligned, s.
+    #[serde(skip)]
+    pub aligned_at_s: Option<f64>,
     /// Clockwise from true north.
+    #[serde(skip)]
     pub heading_deg: Option<f64>,
     /// Front up positive.
+    #[serde(skip)]
     pub pitch_deg: Option<f64>,
     /// Right side down positive.
+    #[serde(skip)]
     pub roll_deg: Option<f64>,
     /// 1σ of heading.
+    #[serde(skip)]
     pub heading_sd_deg: Option<f64>,
     /// 1σ of pitch.
+    #[serde(skip)]
     pub pitch_sd_deg: Option<f64>,
     /// 1σ of roll.
+    #[serde(skip)]
     pub roll_sd_deg: Option<f64>,
     /// Gyro biases in s.
+    #[serde(skip)]
     pub gyro_bias_deg_h: Option<[f64; 3]>,
     /// Accelerometer biases in s.
+    #[serde(skip)]
     pub accel_bias_ug: Option<[f64; 3]>,
     /// How late the IMU's samples are against the encoder: what the unit's `edge_delay_us` is short of. `null` where the rotor
     /// never turned round.
@@ -88,7 +101,7 @@ pub struct Replay {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub measured_walk_deg_sqrt_h: Option<f64>,
     /// Why it is not aligned.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip)]
     pub reason: Option<String>,
 }
 
@@ -272,7 +285,7 @@ fn replay_with<const B: usize, R: BufRead>(
     let mut checker = Checker::new(log.file_name());
     let mut warned = 0;
     let mut t_s = 0.0;
-    let mut rejected = None;
+    let (mut rejected, mut aligned_at_s) = (None, None);
     let (mut next_s, mut rotor_deg) = (f64::NEG_INFINITY, 0.0);
     while let Some(row) = log.next() {
         let row = row?;
@@ -308,6 +321,9 @@ fn replay_with<const B: usize, R: BufRead>(
         #[expect(clippy::cast_possible_truncation, reason = "the core runs in f32")]
         if let Some(event) = aligner.step(&align::cast(&row.sample()), encoder as f32) {
             observer.event(t_s, &event);
+            if let Event::Aligned = event {
+                aligned_at_s.get_or_insert(t_s);
+            }
             if let Event::Restarted(_) = event {
                 rejected = Some(align::describe(&event));
             }
@@ -348,6 +364,7 @@ fn replay_with<const B: usize, R: BufRead>(
     Ok(Replay {
         state,
         t_s: round(t_s),
+        aligned_at_s: aligned_at_s.map(round),
         heading_deg: angle(|r| r.attitude.heading_deg),
         pitch_deg: angle(|r| r.attitude.pitch_deg),
         roll_deg: angle(|r| r.attitude.roll_deg),

@@ -12,6 +12,7 @@ use crate::align::{Angles, Reading, Setup};
 use crate::bound::{self, Bound, BoundConfig, Sigmas};
 use crate::config::Violation;
 use crate::monte_carlo::{self, MethodReport, Spread, Statistics};
+use crate::outcome::{alignment, tagged};
 use crate::plot::{self, PlotError};
 use crate::replay::{self, Replay};
 use crate::scenario::Scenario;
@@ -163,7 +164,7 @@ pub fn run(
     rotor: &[(f64, f64)],
 ) -> Result<(), ReportError> {
     folder(dir)?;
-    json(dir.join("result.json"), result)?;
+    json(dir.join("result.json"), &alignment(result))?;
     csv(dir.join("estimates.csv"), moments)?;
     let ideal = bound::run(origin.scenario, result.seed, &BoundConfig::default()).map_err(ReportError::Ideal)?;
     let mut page = Page::new(
@@ -194,7 +195,7 @@ pub fn run(
     }
     page.paragraph(&format!(
         "{} samples at {} Hz, {} with a sensor at the end of its range.",
-        result.samples, origin.scenario.run.rate_hz, result.saturated
+        result.samples.received, origin.scenario.run.rate_hz, result.samples.saturated
     ));
     page.section("Course");
     for plot in [
@@ -312,7 +313,7 @@ pub fn replay(
     moments: &[replay::Moment],
 ) -> Result<(), ReportError> {
     folder(dir)?;
-    json(dir.join("result.json"), result)?;
+    json(dir.join("result.json"), &alignment(result))?;
     replay_csv(dir.join("estimates.csv"), moments)?;
     let Setup {
         latitude_deg,
@@ -462,7 +463,7 @@ fn replay_csv(path: PathBuf, moments: &[replay::Moment]) -> Result<(), ReportErr
 /// [`ReportError`] names the file.
 pub fn monte_carlo(dir: &Path, origin: &Origin<'_>, report: &monte_carlo::Report) -> Result<(), ReportError> {
     folder(dir)?;
-    json(dir.join("result.json"), report)?;
+    json(dir.join("result.json"), &tagged("monte-carlo", report))?;
     let mut page = Page::new(
         &format!("{} runs of {}, seed {}", report.runs, report.scenario, report.seed),
         &origin.scenario.description,
@@ -624,7 +625,7 @@ fn sigma_csv(path: PathBuf, curve: &[Sigmas]) -> Result<(), ReportError> {
 /// [`ReportError`] names the file.
 pub fn bound(dir: &Path, origin: &Origin<'_>, bound: &Bound) -> Result<(), ReportError> {
     folder(dir)?;
-    json(dir.join("result.json"), bound)?;
+    json(dir.join("result.json"), &tagged("bound", bound))?;
     sigma_csv(dir.join("sigma.csv"), &bound.curve)?;
     let mut page = Page::new(
         &format!("What no filter can beat in {}, seed {}", bound.scenario, bound.seed),

@@ -353,7 +353,16 @@ pub struct Fix {
     pub error: Angles,
 }
 
-/// How a run ended.
+/// What became of the samples of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Samples {
+    /// Taken.
+    pub received: u64,
+    /// With a sensor at the end of its range.
+    pub saturated: u64,
+}
+
+/// How a run ended. In JSON it has the keys of an [`Outcome`](crate::outcome::Outcome) besides.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RunResult {
     /// Scenario by name.
@@ -363,15 +372,19 @@ pub struct RunResult {
     /// The fine filter.
     pub method: Method,
     /// `aligned`, or where the aligner stood.
+    #[serde(skip)]
     pub state: &'static str,
     /// Why it is not aligned.
+    #[serde(skip)]
     pub reason: Option<String>,
+    /// Time of the last sample, s.
+    #[serde(skip)]
+    pub t_s: Option<f64>,
     /// When it first was, s.
+    #[serde(skip)]
     pub aligned_at_s: Option<f64>,
-    /// Samples taken.
-    pub samples: u64,
-    /// Samples in which a sensor was clipped.
-    pub saturated: u64,
+    /// What became of the samples.
+    pub samples: Samples,
     /// Coarse alignment alone over the whole run (\[Xing18\] (7)–(18)), at the run's end.
     pub coarse: Option<Fix>,
     /// The unit's estimate at the run's end.
@@ -451,9 +464,12 @@ fn run_with<T: Real, const B: usize>(
         method,
         state: align::state_name(&aligner),
         reason: align::reason(&aligner),
+        t_s: last_reading.map(|reading| reading.t),
         aligned_at_s,
-        samples,
-        saturated,
+        samples: Samples {
+            received: samples,
+            saturated,
+        },
         coarse,
         last: last_reading.and_then(|reading| moment(&aligner, &simulation, reading.t)),
     })

@@ -96,6 +96,99 @@ fn the_same_seed_gives_the_same_bytes() {
     }
 }
 
+/// The keys of `docs/json.md`, of real results: simulated, of the whole unit, and of the log of the first.
+#[test]
+fn results_have_the_keys_that_the_docs_tell() {
+    let docs = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/json.md")).unwrap();
+    let keys: Vec<&str> = docs
+        .lines()
+        .filter(|line| line.starts_with("| `"))
+        .flat_map(|line| line.split('|').nth(1).unwrap().split('`').skip(1).step_by(2))
+        .collect();
+    assert!(keys.len() == 13 && keys.contains(&"heading_sd_deg"), "{keys:?}");
+    let dir = TempDir::new().unwrap();
+    let told = |arguments: &[&str]| json(&hal_sim(dir.path(), arguments));
+    let run = told(&["run", "--json", "--log", "run.csv", "--quiet"]);
+    let unit = told(&["unit", "--json", "--quiet"]);
+    let replay = told(&["replay", "run.csv", "--latitude-deg", "40", "--json", "--quiet"]);
+    for (name, found) in [("run", &run), ("unit", &unit), ("replay", &replay)] {
+        for key in &keys {
+            assert!(found.get(key).is_some(), "{name} has no {key}: {found}");
+            assert_eq!(found[key].is_null(), *key == "reason", "{name}: {key}");
+        }
+        assert_eq!(
+            found["schema"],
+            serde_json::json!({ "name": "alignment", "version": 1 })
+        );
+        assert_eq!(found["state"], "aligned");
+    }
+    // The same run, and the same unit some seconds later: heading, σ and biases are alike, and of one time.
+    let aligning_s = number(&unit, "/aligning_at_s");
+    for (key, alike) in [
+        ("heading_deg", 20.0),
+        ("heading_sd_deg", 0.01),
+        ("pitch_sd_deg", 1e-4),
+        ("t_s", 0.1),
+        ("aligned_at_s", 3.0),
+    ] {
+        let pointer = format!("/{key}");
+        let begun = if key.ends_with("_s") { aligning_s } else { 0.0 };
+        assert!(
+            (number(&replay, &pointer) - number(&run, &pointer)).abs() < 1e-4,
+            "{key}"
+        );
+        assert!(
+            (number(&unit, &pointer) - begun - number(&run, &pointer)).abs() < alike,
+            "{key}"
+        );
+    }
+    for (key, alike) in [("gyro_bias_deg_h", 1.0), ("accel_bias_ug", 5.0)] {
+        for axis in 0..3 {
+            let pointer = format!("/{key}/{axis}");
+            assert!(
+                (number(&replay, &pointer) - number(&run, &pointer)).abs() < 1e-4,
+                "{pointer}"
+            );
+            assert!(
+                (number(&unit, &pointer) - number(&run, &pointer)).abs() < alike,
+                "{pointer}"
+            );
+        }
+    }
+    for (found, name) in [(&run, "heading_deg"), (&unit, "heading_deg")] {
+        assert_eq!(found[name], found["final"]["reading"]["attitude"][name]);
+    }
+    let result = fs::read_to_string(dir.path().join("report/paper-sim-seed1/result.json")).unwrap();
+    assert_eq!(serde_json::from_str::<Value>(&result).unwrap(), run);
+
+    // Without an estimate its figures are null, and the reason says why.
+    let short = told(&["run", "--json", "--quiet", "--seconds", "20"]);
+    let resting = told(&["unit", "--json", "--quiet", "--type", "60 stop"]);
+    for found in [&short, &resting] {
+        assert!(
+            found["heading_deg"].is_null() && found["accel_bias_ug"].is_null(),
+            "{found}"
+        );
+        assert!(found["t_s"].is_number());
+    }
+    assert_eq!(
+        (&short["state"], &resting["state"]),
+        (&Value::from("coarse"), &Value::from("idle"))
+    );
+    assert!(short["reason"].as_str().unwrap().starts_with("coarse alignment needs"));
+    for (arguments, name) in [
+        (&["bound", "--json", "--quiet"][..], "bound"),
+        (&["observability", "--json"], "observability"),
+        (
+            &["monte-carlo", "--runs", "2", "--seconds", "70", "--json", "--quiet"],
+            "monte-carlo",
+        ),
+    ] {
+        let found = told(arguments);
+        assert_eq!(found["schema"], serde_json::json!({ "name": name, "version": 1 }));
+    }
+}
+
 #[test]
 fn a_log_replays_to_the_run_it_was_written_by() {
     let dir = TempDir::new().unwrap();

@@ -50,7 +50,7 @@ use drivers::motor::MotorDriver;
 use drivers::mt6835;
 use embassy_futures::select::{Either, Either3, select, select3};
 use embassy_time::{Delay, Duration};
-use nav::aligner::{Aligner, AlignerConfig, AlignerError};
+use nav::aligner::{Aligner, AlignerConfig, AlignerError, NotReady};
 use nav::fine::FilterConfig;
 use nav::increment::Sample;
 use nav::mechanization::Radii;
@@ -193,7 +193,7 @@ pub struct Samples {
     pub edges_lost: u64,
 }
 
-/// How a run of the unit ended.
+/// How a run of the unit ended. In JSON it has the keys of an [`Outcome`](crate::outcome::Outcome) besides.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct UnitResult {
     /// Scenario by name.
@@ -203,12 +203,18 @@ pub struct UnitResult {
     /// The fine filter.
     pub method: Method,
     /// `aligned`, or the mode.
+    #[serde(skip)]
     pub state: &'static str,
+    /// Why the last estimate is not to be relied on.
+    #[serde(skip)]
+    pub not_ready: Option<NotReady>,
     /// Length of the run from power-up, s.
+    #[serde(skip)]
     pub t_s: f64,
     /// When the alignment began, s.
     pub aligning_at_s: Option<f64>,
     /// When it first was aligned, s.
+    #[serde(skip)]
     pub aligned_at_s: Option<f64>,
     /// Modes in order.
     pub modes: Vec<ModeAt>,

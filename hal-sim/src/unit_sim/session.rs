@@ -360,6 +360,7 @@ impl<const B: usize> Session<B> {
             seed: self.seed,
             method: self.method,
             state: record.modes.last().map_or("idle", |at| at.mode),
+            not_ready: record.last.as_ref().and_then(|last| last.not_ready),
             t_s: self.now_us() as f64 * 1e-6,
             aligning_at_s: record.aligning_at_us.map(|us| us as f64 * 1e-6),
             aligned_at_s: record.aligned_at_s,
