@@ -5,7 +5,7 @@ use std::io::{self, BufRead};
 
 use frames::Vec3;
 
-use super::format::{Column, Format, NANOSECONDS, PLACES, TimeKind, fits};
+use super::format::{Column, Format, NANOSECONDS, PLACES, TimeKind, Wraps, fits};
 use super::time::{Clock, Stamp, WINDOW, When};
 use super::{COLUMNS, LIMITS, LogError, LogProblem, LogRow, LogWarning, MAX_LINE, Place, WarningKind, shorten};
 use crate::nmea;
@@ -81,9 +81,11 @@ impl Stamps {
         })
     }
 
-    /// As [`Self::since`], of a count that begins anew at `wrap`.
-    fn unwrapped(&mut self, count: f64, wrap: Option<f64>) -> f64 {
-        if let Some(wrap) = wrap.filter(|wrap| count < self.last - 0.5 * wrap) {
+    /// As [`Self::since`], of a count that begins anew at one of `wraps`: at the one that lets it go on by the least.
+    fn unwrapped(&mut self, count: f64, wraps: Wraps) -> f64 {
+        let back = self.last - count;
+        let within = |wrap: &f64| back > 0.5 * wrap && back <= *wrap;
+        if let Some(wrap) = wraps.iter().flatten().find(|wrap| within(wrap)) {
             self.turns += wrap;
         }
         self.last = count;
@@ -95,9 +97,9 @@ impl Stamps {
         self.rows += 1;
         match kind {
             TimeKind::Own => number(text, separator),
-            TimeKind::Stamp { unit, wrap } => {
+            TimeKind::Stamp { unit, wraps } => {
                 let count = self.since(0, text, separator)?;
-                Some(self.unwrapped(count, wrap) * unit)
+                Some(self.unwrapped(count, wraps) * unit)
             }
             TimeKind::Interval { unit } => {
                 self.elapsed += number(text, separator)? * unit;
@@ -110,7 +112,7 @@ impl Stamps {
                     whole: None,
                 });
                 let count = now - first.value;
-                Some(self.unwrapped(count, Some(DAY)))
+                Some(self.unwrapped(count, [Some(DAY), None]))
             }
             TimeKind::Rows { interval } => Some(self.rows as f64 * interval),
         }

@@ -44,8 +44,9 @@ pub struct Builtin {
 /// * `ros-imu`: the header is that of `rostopic echo -p` on `sensor_msgs/Imu`; stamps in ns.
 /// * `ros-imu-bag`, `ros2-imu-bag`: the message's own field names, as exporters of bags join them by dots or slashes.
 /// * `ros2-imu`: the fields of `sensor_msgs/msg/Imu` in their order, covariances between them, no header.
-/// * `xsens-mt`: MTw user manual, export of text: Acc in m/s², Gyr in rad/s. `SampleTimeFine` counts 100 µs in 32 bits
-///   (MT low-level communication protocol; not verified against a file).
+/// * `xsens-mt`: MTw user manual, export of text: Acc in m/s², Gyr in rad/s. `SampleTimeFine` counts at 10 kHz, and begins
+///   anew after a day (864 000 000) with the MTi 10 and 100 series, at 2³² with the MTi 1 and 600 series (MT low-level
+///   communication protocol, XDI_SampleTimeFine, as the driver xsens-mti 0.6 tells it; not verified against a file).
 /// * `vectornav-imu`: VersaSync user manual, VNIMU (register 54): m/s², rad/s, °C. `vectornav-dtv`: VNDTV (register 80): s, °,
 ///   m/s. Axes x front, y right, z down.
 /// * `kvh-1750`: columns as in the logging program's CSV in the repository SMAC-Group/ucimudata; °/s and g.
@@ -98,7 +99,7 @@ accel = { columns = ["linear_acceleration.x", "linear_acceleration.y", "linear_a
         what: "Xsens MT Manager, text export",
         text: r#"
 mounting = "-y,x,z"
-time = { column = "SampleTimeFine", unit = "samples", rate_hz = 10000, wrap = 4294967296 }
+time = { column = "SampleTimeFine", unit = "samples", rate_hz = 10000, wrap = [864000000, 4294967296] }
 gyro = { columns = ["Gyr_X", "Gyr_Y", "Gyr_Z"] }
 accel = { columns = ["Acc_X", "Acc_Y", "Acc_Z"] }
 "#,
@@ -220,8 +221,29 @@ struct TimeFile {
     unit: Option<String>,
     interval: Option<bool>,
     rate_hz: Option<f64>,
-    wrap: Option<f64>,
+    wrap: Option<Wrap>,
 }
+
+/// Where a count begins anew: at one number, or at either of two.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(untagged, expecting = "a number, or two of them")]
+enum Wrap {
+    One(f64),
+    Two([f64; 2]),
+}
+
+impl Wrap {
+    /// The lower one first.
+    fn wraps(self) -> Wraps {
+        match self {
+            Self::One(wrap) => [Some(wrap), None],
+            Self::Two([a, b]) => [Some(a.min(b)), Some(a.max(b))],
+        }
+    }
+}
+
+/// Where a count begins anew, in the file's unit: the lower one first.
+pub(super) type Wraps = [Option<f64>; 2];
 
 #[derive(Debug, Clone, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -289,12 +311,12 @@ impl FormatFile {
 pub(super) enum TimeKind {
     /// As it is, s: of a log of our own.
     Own,
-    /// A stamp, or a count that begins anew at `wrap`: s in one of it.
+    /// A stamp, or a count that begins anew at one of `wraps`: s in one of it.
     Stamp {
         /// s.
         unit: f64,
-        /// Where the count begins anew, in the file's unit.
-        wrap: Option<f64>,
+        /// Where the count begins anew.
+        wraps: Wraps,
     },
     /// The row's own interval: s in one of it.
     Interval {
@@ -531,7 +553,10 @@ fn scale(table: &str, vector: &VectorFile, units: Units) -> Result<Scale, Violat
 
 fn time_kind(time: &TimeFile) -> Result<TimeKind, Violation> {
     within("time.rate_hz", time.rate_hz, 1e-3, 1e9)?;
-    within("time.wrap", time.wrap, 2.0, 1e19)?;
+    let wraps = time.wrap.map(Wrap::wraps).unwrap_or_default();
+    for wrap in wraps {
+        within("time.wrap", wrap, 2.0, 1e19)?;
+    }
     if time.column.is_none() {
         return Ok(TimeKind::Rows {
             interval: time.rate_hz.map_or(0.0, f64::recip),
@@ -555,7 +580,7 @@ fn time_kind(time: &TimeFile) -> Result<TimeKind, Violation> {
     };
     Ok(match time.interval {
         Some(true) => TimeKind::Interval { unit },
-        _ => TimeKind::Stamp { unit, wrap: time.wrap },
+        _ => TimeKind::Stamp { unit, wraps },
     })
 }
 

@@ -244,6 +244,25 @@ fn the_time_of_day_goes_on_after_midnight() {
     holds(&rows, &format, false);
 }
 
+/// The counter of the older series of Xsens begins anew after a day; that of `written` with 32 bits.
+#[test]
+fn a_counter_may_begin_anew_at_either_of_two() {
+    let format = Format::find("xsens-mt").unwrap();
+    let header = "PacketCounter\tSampleTimeFine\tAcc_X\tAcc_Y\tAcc_Z\tGyr_X\tGyr_Y\tGyr_Z\n";
+    let rows = text(header, |k, (_, w, f, _)| {
+        let count = (863_999_000 + 100 * k) % 864_000_000;
+        let (w, f) = (joined(front_left_up(w), "\t"), joined(front_left_up(f), "\t"));
+        format!("{k}\t{count}\t{f}\t{w}\n")
+    });
+    holds(&rows, &format, false);
+    // A newer one passes a day by, and goes on.
+    let on = text(header, |k, (_, w, f, _)| {
+        let (w, f) = (joined(front_left_up(w), "\t"), joined(front_left_up(f), "\t"));
+        format!("{k}\t{}\t{f}\t{w}\n", 863_999_000 + 100 * k)
+    });
+    holds(&on, &format, false);
+}
+
 #[test]
 fn a_base_is_changed_in_what_a_file_says() {
     let format = own("base = 'kitti-oxts'\nmounting = 'x,y,z'\n[time]\nrate_hz = 100\n[gyro]\nunit = 'deg/s'\n");
