@@ -533,7 +533,8 @@ fn scale(table: &str, vector: &VectorFile, units: Units) -> Result<Scale, Violat
         return Err(violation(
             &format!("{table}.unit"),
             format!(
-                "no unit `{unit}` here: expected one of {}; counts have a scale besides",
+                "no unit `{}` here: expected one of {}; counts have a scale besides",
+                unit.escape_debug(),
                 names.join(", ")
             ),
         ));
@@ -574,7 +575,10 @@ fn time_kind(time: &TimeFile) -> Result<TimeKind, Violation> {
             return Err(violation("time.unit", problem));
         }
         _ => {
-            let problem = format!("no unit `{name}` of time: expected s, ms, us, ns, samples or clock");
+            let problem = format!(
+                "no unit `{}` of time: expected s, ms, us, ns, samples or clock",
+                name.escape_debug()
+            );
             return Err(violation("time.unit", problem));
         }
     };
@@ -639,7 +643,10 @@ impl Format {
         if let Some(name) = file.base.take() {
             let base = FORMATS.iter().find(|builtin| builtin.name == name).ok_or_else(|| {
                 let names = FORMATS.map(|builtin| builtin.name).join(", ");
-                violation("base", format!("no format `{name}`: expected one of {names}"))
+                violation(
+                    "base",
+                    format!("no format `{}`: expected one of {names}", name.escape_debug()),
+                )
             })?;
             let base: FormatFile = toml::from_str(base.text).map_err(|e| violation("base", e.message().to_owned()))?;
             file = file.over(base);

@@ -332,6 +332,15 @@ fn errors_of_a_format_name_its_line_and_what_is_expected() {
         ("gyro = { columns = [1, 2] }", "f.toml:1: gyro.columns: ".to_owned()),
         ("gyro = { columns = [0, 1, 2] }", "f.toml:1: gyro.columns: ".to_owned()),
         ("columns = 1", "f.toml:1: columns: unknown key; known here: ".to_owned()),
+        // A name of several lines does not break the message.
+        (
+            "base = \"i\\nmu\"",
+            "f.toml:1: base: no format `i\\nmu`: expected one of ".to_owned(),
+        ),
+        (
+            "gyro = { columns = [1, 2, 3], unit = \"r\\npm\" }",
+            "f.toml:1: gyro.unit: no unit `r\\npm` here: ".to_owned(),
+        ),
         (
             "base = 'imu'",
             "f.toml:1: base: no format `imu`: expected one of ros-imu, ".to_owned(),
