@@ -1,4 +1,4 @@
-//! Hands the linker the workspace's `memory.x`, and the program its version.
+//! Hands the linker the workspace's `memory.x` and which board it is for, and the program its version.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -10,6 +10,8 @@ fn main() -> Result<(), Box<dyn error::Error>> {
     println!("cargo:rustc-link-search={}", out.display());
     println!("cargo:rerun-if-changed=../memory.x");
     println!("cargo:rerun-if-changed=build.rs");
+    let f405 = u8::from(env::var_os("CARGO_FEATURE_BOARD_F405").is_some());
+    println!("cargo:rustc-link-arg-bins=--defsym=board_f405={f405}");
 
     let release = env::var("CARGO_PKG_VERSION")?;
     let version = commit().map_or(release.clone(), |commit| format!("{release}+{commit}"));

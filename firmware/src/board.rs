@@ -1,28 +1,26 @@
-//! The board: NUCLEO-F429ZI. A second board needs another file like this one, and no other.
+//! The boards. What they have in common is here: an STM32F4 at 168 MHz and what the application asks for, as its own
+//! traits. Each board has a file of its own, chosen by a feature, with the pins and peripherals that stand behind it.
 //!
-//! What the application asks for comes out as its own traits; which pin, timer or stream stands behind it is nobody
-//! else's business. Wiring is in `docs/wiring.md`.
+//! | feature | file | board | wiring |
+//! |---|---|---|---|
+//! | `board-f429`, the default | `board/nucleo_f429zi.rs` | NUCLEO-F429ZI | `docs/wiring.md` |
+//! | `board-f405` | `board/weact_f405rg.rs` | WeAct STM32F405 core board | `docs/wiring-f405.md` |
 //!
 //! | unit | use | figures |
 //! |---|---|---|
-//! | clock | HSE bypassed, 8 MHz from the debugger's MCO; PLL | 8 MHz / 4 × 168 / 2 = 168 MHz; APB1 42, APB2 84 MHz |
+//! | clock | HSE, 8 MHz; PLL | 8 MHz / 4 × 168 / 2 = 168 MHz; APB1 42, APB2 84 MHz |
 //! | | without it HSI, 16 MHz | 16 MHz / 8 × 168 / 2, up to 8 % off: see [`ClockSource`] |
-//! | SPI1 | IMU | 84 MHz / 16 = 5.25 MHz: a burst allows 6 |
-//! | SPI3 | encoder | 42 MHz / 8 = 5.25 MHz: 9 µs for an angle |
-//! | TIM1 | bridge, centre-aligned | 168 MHz / (2 × 4200) = 20 kHz, 12 bits |
+//! | TIM1 or TIM8 | bridge, centre-aligned | 168 MHz / (2 × 4200) = 20 kHz, 12 bits |
 //! | TIM5 | clock of the unit | 1 µs |
-//! | USART3 | NMEA out, commands in, by the debugger's USB cable | 115200 baud |
-//! | USART2 | the same on pins of its own, with the feature `usart2` | 115200 baud |
-//! | IWDG | watchdog, from the first instant on | [`WATCHDOG_US`] by a clock of 17 to 47 kHz where 32 is meant |
-//! | flash, bank 2, sectors 12–15 | settings | 4 × 16 kB |
+//! | IWDG | watchdog, from the first instant on | `WATCHDOG_US` by a clock of 17 to 47 kHz where 32 is meant |
 //!
 //! # Priorities
 //!
 //! ```text
 //! 0  EXTI0       data-ready: the stamp is late by no more than a critical section
 //! 2  DMA, TIM5, USART, FLASH     short; they wake tasks
-//! 6  UART7       software interrupt: the executor of the motor's loop
-//! 7  UART8       software interrupt: the executor of the sampling
+//! 6  software interrupt: the executor of the motor's loop
+//! 7  software interrupt: the executor of the sampling
 //!    thread      everything else
 //! ```
 
@@ -38,7 +36,6 @@ use app::hal::{ChangeOver, ClockSource, Cutoff, Edge, EdgeCapture, ResetCause, S
 use drivers::motor::{Duty, MotorDriver, ThreePhase};
 use embassy_executor::{InterruptExecutor, SendSpawner};
 use embassy_stm32::exti::{ExtiInput, TriggerEdge};
-use embassy_stm32::flash::{self, Bank2Region1, Flash};
 use embassy_stm32::gpio::{AfType, Flex, Input, Level, Output, OutputType, Pull, Speed};
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::mode::{Async, Blocking};
@@ -52,7 +49,7 @@ use embassy_stm32::timer::low_level::CountingMode;
 use embassy_stm32::timer::simple_pwm::PwmPin;
 use embassy_stm32::usart::{self, RingBufferedUartRx, Uart, UartTx};
 use embassy_stm32::wdg::IndependentWatchdog;
-use embassy_stm32::{Config, Peri, Peripherals, bind_interrupts, dma, interrupt, pac, peripherals};
+use embassy_stm32::{Config, interrupt, pac, peripherals};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::waitqueue::AtomicWaker;
@@ -61,11 +58,25 @@ use embedded_hal::delay::DelayNs as _;
 use embedded_hal_async::spi::{ErrorType, Operation, SpiBus, SpiDevice};
 use static_cell::StaticCell;
 
+#[cfg(all(feature = "board-f405", not(feature = "board-f429")))]
+#[path = "board/weact_f405rg.rs"]
+mod fitted;
+#[cfg(all(feature = "board-f429", not(feature = "board-f405")))]
+#[path = "board/nucleo_f429zi.rs"]
+mod fitted;
+#[cfg(not(any(feature = "board-f429", feature = "board-f405")))]
+compile_error!("choose a board: --features board-f429 or board-f405");
+#[cfg(all(feature = "board-f429", feature = "board-f405"))]
+compile_error!("one board at a time: --no-default-features --features board-f405");
+
+use fitted::{Irqs, pin};
+pub use fitted::{SettingsFlash, erase_ahead};
+
 /// Clock of the core, Hz.
 const CORE_HZ: u32 = 168_000_000;
 /// Clock of the core from a reset until the clocks are set up, Hz.
 const RESET_HZ: u32 = 16_000_000;
-/// How long the clock from the debugger may take to come, ms: its controller starts with the same supply as this part.
+/// How long the clock from outside may take to come, ms: a debugger's controller starts with the same supply as this part.
 /// As long as ST's own HAL waits, and well within the watchdog's time.
 const CLOCK_WAIT_MS: u32 = 100;
 /// From one look for it to the next, µs.
@@ -76,8 +87,6 @@ const SPI_HZ: u32 = 5_250_000;
 const PWM_HZ: u32 = 20_000;
 /// Rate of the serial port.
 const BAUD: u32 = 115_200;
-/// Time without being fed until the watchdog resets, µs. 0.5 s at 32 kHz, at 47 kHz still 0.34.
-pub const WATCHDOG_US: u32 = 500_000;
 /// Delays within a bus transaction up to this length are waited for where they stand, ns: an alarm would take as long.
 const SPIN_NS: u32 = 20_000;
 
@@ -85,7 +94,7 @@ const SPIN_NS: u32 = 20_000;
 const RECEIVE: usize = 256;
 static RECEIVED: StaticCell<[u8; RECEIVE]> = StaticCell::new();
 
-/// The resources of the unit: each is named once, here, and handed out by type.
+/// The resources of a board: each is named once, in its file, and handed out by type.
 macro_rules! resources {
     (
         pins { $($(#[$fitted:meta])? $signal:ident: $pin:ident = $function:literal,)* }
@@ -93,103 +102,32 @@ macro_rules! resources {
     ) => {
         /// The pin of each signal.
         #[allow(non_camel_case_types, dead_code, reason = "named as the signals are; for those that need a pin by type")]
-        mod pin {
+        pub(super) mod pin {
             use embassy_stm32::peripherals;
             $($(#[$fitted])? #[doc = $function] pub type $signal = peripherals::$pin;)*
         }
-        struct Pins { $($(#[$fitted])? #[doc = $function] $signal: Peri<'static, pin::$signal>,)* }
-        struct Units { $($(#[$used])? $unit: Peri<'static, peripherals::$peripheral>,)* }
+        pub(super) struct Pins {
+            $($(#[$fitted])? #[doc = $function] pub(super) $signal: Peri<'static, pin::$signal>,)*
+        }
+        /// The type of each peripheral.
+        #[allow(non_camel_case_types, dead_code, reason = "named as their uses are; for those that need one by type")]
+        pub(super) mod unit {
+            use embassy_stm32::peripherals;
+            $($(#[$used])? pub type $unit = peripherals::$peripheral;)*
+        }
+        pub(super) struct Units { $($(#[$used])? pub(super) $unit: Peri<'static, unit::$unit>,)* }
 
         fn split(p: Peripherals) -> (Pins, Units) {
             (Pins { $($(#[$fitted])? $signal: p.$pin,)* }, Units { $($(#[$used])? $unit: p.$peripheral,)* })
         }
     };
 }
-
-// The pin map. docs/wiring.md has the same; a test compares them, by the lines of this block.
-resources! {
-    pins {
-        imu_select: PA4 = "GPIO out, SPI1 NSS",
-        imu_clock: PA5 = "SPI1 SCK",
-        imu_miso: PA6 = "SPI1 MISO",
-        imu_mosi: PB5 = "SPI1 MOSI",
-        imu_ready: PC0 = "EXTI0",
-        encoder_select: PA15 = "GPIO out, SPI3 NSS",
-        encoder_clock: PC10 = "SPI3 SCK",
-        encoder_miso: PC11 = "SPI3 MISO",
-        encoder_mosi: PC12 = "SPI3 MOSI",
-        motor_a: PE9 = "TIM1 CH1",
-        motor_b: PE11 = "TIM1 CH2",
-        motor_c: PE13 = "TIM1 CH3",
-        motor_fault: PE15 = "TIM1 BKIN",
-        motor_enable: PF15 = "GPIO out",
-        home_below: PF13 = "GPIO in",
-        home_above: PF14 = "GPIO in",
-        #[cfg(not(feature = "usart2"))]
-        serial_tx: PD8 = "USART3 TX",
-        #[cfg(not(feature = "usart2"))]
-        serial_rx: PD9 = "USART3 RX",
-        #[cfg(feature = "usart2")]
-        line_tx: PD5 = "USART2 TX",
-        #[cfg(feature = "usart2")]
-        line_rx: PD6 = "USART2 RX",
-        lamp_green: PB0 = "GPIO out",
-        lamp_blue: PB7 = "GPIO out",
-        lamp_red: PB14 = "GPIO out",
-        button: PC13 = "GPIO in",
-        held_low: PA12 = "GPIO out",
-    }
-    units {
-        imu_spi: SPI1,
-        imu_tx: DMA2_CH3,
-        imu_rx: DMA2_CH0,
-        imu_line: EXTI0,
-        encoder_spi: SPI3,
-        encoder_tx: DMA1_CH7,
-        encoder_rx: DMA1_CH0,
-        motor_timer: TIM1,
-        #[cfg(not(feature = "usart2"))]
-        serial: USART3,
-        #[cfg(not(feature = "usart2"))]
-        serial_dma_tx: DMA1_CH3,
-        #[cfg(not(feature = "usart2"))]
-        serial_dma_rx: DMA1_CH1,
-        #[cfg(feature = "usart2")]
-        line: USART2,
-        #[cfg(feature = "usart2")]
-        line_dma_tx: DMA1_CH6,
-        #[cfg(feature = "usart2")]
-        line_dma_rx: DMA1_CH5,
-        flash: FLASH,
-    }
-}
-
-bind_interrupts!(struct Irqs {
-    DMA2_STREAM3 => dma::InterruptHandler<peripherals::DMA2_CH3>;
-    DMA2_STREAM0 => dma::InterruptHandler<peripherals::DMA2_CH0>;
-    DMA1_STREAM7 => dma::InterruptHandler<peripherals::DMA1_CH7>;
-    DMA1_STREAM0 => dma::InterruptHandler<peripherals::DMA1_CH0>;
-    #[cfg(not(feature = "usart2"))]
-    DMA1_STREAM3 => dma::InterruptHandler<peripherals::DMA1_CH3>;
-    #[cfg(not(feature = "usart2"))]
-    DMA1_STREAM1 => dma::InterruptHandler<peripherals::DMA1_CH1>;
-    #[cfg(not(feature = "usart2"))]
-    USART3 => usart::InterruptHandler<peripherals::USART3>;
-    #[cfg(feature = "usart2")]
-    DMA1_STREAM6 => dma::InterruptHandler<peripherals::DMA1_CH6>;
-    #[cfg(feature = "usart2")]
-    DMA1_STREAM5 => dma::InterruptHandler<peripherals::DMA1_CH5>;
-    #[cfg(feature = "usart2")]
-    USART2 => usart::InterruptHandler<peripherals::USART2>;
-    FLASH => flash::InterruptHandler;
-});
+use resources;
 
 /// The serial port's transmitter, by DMA.
 pub type SerialTx = UartTx<'static, Async>;
 /// The serial port's receiver: DMA fills a ring while nobody reads.
 pub type SerialRx = RingBufferedUartRx<'static>;
-/// The flash of the settings.
-pub type SettingsFlash = Bank2Region1<'static, flash::Async>;
 
 /// A board that is up: clocks run, the motor is off.
 pub struct Board {
@@ -233,16 +171,15 @@ impl Board {
         let clock = clock_source();
         // The wait is counted in cycles and may take twice as long: the rest of the start has the whole time again.
         watchdog.feed();
-        let (pins, units) = split(embassy_stm32::init(config(clock)));
+        let (pins, units) = fitted::take(embassy_stm32::init(config(clock)));
         if clock == ClockSource::Crystal {
-            // A clock that stops later takes the outputs of TIM1 away, and ends in an interrupt that nothing serves: a
+            // A clock that stops later takes the bridge's outputs away, and ends in an interrupt that nothing serves: a
             // reset, and a start by the chip's own.
             pac::RCC.cr().modify(|w| w.set_csson(true));
         }
         fast_flash();
         priorities();
 
-        hold_low(pins.held_low);
         let mut bus = spi::Config::default();
         bus.mode = spi::MODE_3;
         bus.frequency = Hertz(SPI_HZ);
@@ -269,8 +206,8 @@ impl Board {
 
         let enable = Output::new(pins.motor_enable, Level::Low, Speed::Low);
         let mut fault = Flex::new(pins.motor_fault);
-        // As TIM1_BKIN (AF1) the line takes the outputs away by itself, in nanoseconds; its level can still be read.
-        fault.set_as_af_unchecked(1, AfType::input(Pull::Up));
+        // As the timer's break input the line takes the outputs away by itself, in nanoseconds; its level can still be read.
+        fault.set_as_af_unchecked(fitted::MOTOR_FAULT_AF, AfType::input(Pull::Up));
         let phases = (
             PwmPin::new(pins.motor_a, OutputType::PushPull),
             PwmPin::new(pins.motor_b, OutputType::PushPull),
@@ -351,17 +288,17 @@ impl Board {
             serial_tx,
             serial_rx: serial_rx.into_ring_buffered(RECEIVED.init([0; RECEIVE])),
             watchdog,
-            settings: Flash::new(units.flash, Irqs).into_regions().bank2_region1,
+            settings: fitted::settings(units.flash),
             supply: Vdd::watched(),
         }
     }
 }
 
 /// Waits for the clock from outside, and no longer than [`CLOCK_WAIT_MS`]: the HAL would wait for ever for one that does
-/// not come, as without the debugger's half of the board.
+/// not come, as that of a debugger that is cut off, or of a crystal that is broken.
 fn clock_source() -> ClockSource {
     // The bypass can only be set while the oscillator is off.
-    pac::RCC.cr().modify(|w| w.set_hsebyp(true));
+    pac::RCC.cr().modify(|w| w.set_hsebyp(fitted::HSE == HseMode::Bypass));
     pac::RCC.cr().modify(|w| w.set_hseon(true));
     for _ in 0..CLOCK_WAIT_MS * 1000 / CLOCK_LOOK_US {
         if pac::RCC.cr().read().hserdy() {
@@ -380,7 +317,7 @@ fn config(clock: ClockSource) -> Config {
         ClockSource::Crystal => {
             config.rcc.hse = Some(Hse {
                 freq: Hertz(8_000_000),
-                mode: HseMode::Bypass,
+                mode: fitted::HSE,
             });
             config.rcc.pll_src = PllSource::HSE;
             PllPreDiv::DIV4
@@ -414,23 +351,16 @@ fn fast_flash() {
     });
 }
 
-/// Before revision 3 of the part, levels on this pin spoil what is read from bank 2 (erratum 2.2.11): it is held low.
-fn hold_low(pin: Peri<'static, pin::held_low>) {
-    // The output stays when its owner goes, which is for good.
-    mem::forget(Output::new(pin, Level::Low, Speed::Low));
-    pac::GPIOA
-        .pupdr()
-        .modify(|w| w.set_pupdr(12, pac::gpio::vals::Pupdr::PULL_DOWN));
-}
-
 fn priorities() {
     interrupt::EXTI0.set_priority(Priority::P0);
     interrupt::TIM5.set_priority(Priority::P2);
-    interrupt::USART3.set_priority(Priority::P2);
-    interrupt::USART2.set_priority(Priority::P2);
+    for serial in fitted::SERIAL {
+        serial.set_priority(Priority::P2);
+    }
     interrupt::FLASH.set_priority(Priority::P2);
-    interrupt::UART7.set_priority(Priority::P6);
-    interrupt::UART8.set_priority(Priority::P7);
+    let [motor, sampling] = fitted::EXECUTORS;
+    motor.set_priority(Priority::P6);
+    sampling.set_priority(Priority::P7);
 }
 
 fn reset_cause() -> ResetCause {
@@ -497,13 +427,16 @@ impl Memory for BlackBoxRam {
 
 // ---------------------------------------------------------------------------------------------- motor
 
-/// The bridge's duties, on TIM1.
-pub struct Bridge(ComplementaryPwm<'static, peripherals::TIM1>);
+/// The bridge's timer.
+type MotorTimer = fitted::unit::motor_timer;
+
+/// The bridge's duties, on its timer.
+pub struct Bridge(ComplementaryPwm<'static, MotorTimer>);
 
 impl Bridge {
     const PHASES: [Channel; 3] = [Channel::Ch1, Channel::Ch2, Channel::Ch3];
 
-    fn new(mut pwm: ComplementaryPwm<'static, peripherals::TIM1>) -> Self {
+    fn new(mut pwm: ComplementaryPwm<'static, MotorTimer>) -> Self {
         pwm.set_master_output_enable(false);
         // Without MOE the timer goes on driving its pins, all low: no line of the bridge ever floats.
         pwm.set_off_state_selection_idle(Ossi::IDLE_LEVEL);
@@ -523,14 +456,14 @@ impl ThreePhase for Bridge {
     fn set_duties(&mut self, duties: [Duty; 3]) {
         let top = self.0.get_max_duty() as u16;
         // No update event between the three, so that one period has all of them.
-        pac::TIM1.cr1().modify(|w| w.set_udis(true));
+        fitted::MOTOR_TIMER.cr1().modify(|w| w.set_udis(true));
         for (phase, duty) in Self::PHASES.into_iter().zip(duties) {
             self.0.set_duty(phase, duty.compare(top).into());
         }
-        pac::TIM1.cr1().modify(|w| w.set_udis(false));
+        fitted::MOTOR_TIMER.cr1().modify(|w| w.set_udis(false));
         if !self.0.get_master_output_enable() {
             // The duties of before the outputs went off are still at work: replace them first.
-            pac::TIM1.egr().write(|w| w.set_ug(true));
+            fitted::MOTOR_TIMER.egr().write(|w| w.set_ug(true));
             self.0.set_master_output_enable(true);
         }
     }
@@ -542,7 +475,7 @@ impl ThreePhase for Bridge {
 
 /// Takes the motor's outputs away by register, whoever owns them.
 pub fn motor_off() {
-    pac::TIM1.bdtr().modify(|w| w.set_moe(false));
+    fitted::MOTOR_TIMER.bdtr().modify(|w| w.set_moe(false));
     // SAFETY: the pin has an owner, who is not asked. The one access is a write to BSRR, which changes no other pin and
     // nothing of the owner's state.
     let mut enable = Flex::new(unsafe { pin::motor_enable::steal() });
@@ -569,25 +502,12 @@ static SAMPLING_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 
 /// Starts the executor of the motor's loop: it interrupts all other tasks.
 pub fn motor_executor() -> SendSpawner {
-    MOTOR_EXECUTOR.start(interrupt::UART7)
+    MOTOR_EXECUTOR.start(fitted::EXECUTORS[0])
 }
 
 /// Starts the executor of the sampling: it interrupts what runs in the thread.
 pub fn sampling_executor() -> SendSpawner {
-    SAMPLING_EXECUTOR.start(interrupt::UART8)
-}
-
-// Interrupts of units that the board does not use, set pending by software.
-#[interrupt]
-unsafe fn UART7() {
-    // SAFETY: this is the handler of the interrupt the executor was started with, and nobody else calls it.
-    unsafe { MOTOR_EXECUTOR.on_interrupt() }
-}
-
-#[interrupt]
-unsafe fn UART8() {
-    // SAFETY: as above.
-    unsafe { SAMPLING_EXECUTOR.on_interrupt() }
+    SAMPLING_EXECUTOR.start(fitted::EXECUTORS[1])
 }
 
 // ---------------------------------------------------------------------------------------------- data-ready
@@ -700,7 +620,7 @@ impl Iwdg {
         pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
         // SAFETY: nobody else names this peripheral, see `resources`; the HAL hands it out later and does not touch it.
         let peripheral = unsafe { peripherals::IWDG::steal() };
-        let mut watchdog = IndependentWatchdog::new(peripheral, WATCHDOG_US);
+        let mut watchdog = IndependentWatchdog::new(peripheral, fitted::WATCHDOG_US);
         watchdog.unleash();
         Self(watchdog)
     }

@@ -1,8 +1,9 @@
-//! The unit's image for the STM32F429. Starts clocks, executors and tasks, nothing else.
+//! The unit's image for an STM32F4. Starts clocks, executors and tasks, nothing else.
 //!
 //! | file | what |
 //! |---|---|
-//! | `board.rs` | pins, clocks, peripherals; the one file a second board changes |
+//! | `board.rs` | clocks and peripherals, what the boards have in common |
+//! | `board/` | a file for each board: its pins and peripherals |
 //! | `params.rs` | the unit's figures |
 //! | `tasks.rs` | the application's bodies as tasks |
 //! | `fault.rs` | panic and hard fault: motor off, say and note why, reset |

@@ -54,11 +54,12 @@ static ROTOR: StaticCell<Rotor> = StaticCell::new();
 static ALIGNER: StaticCell<Aligner> = StaticCell::new();
 
 /// Starts every task. Panics where the parameters are refused: nothing has moved then.
-pub async fn start(spawner: Spawner, board: Board, blackbox: BlackBox<BlackBoxRam>) {
+pub async fn start(spawner: Spawner, mut board: Board, blackbox: BlackBox<BlackBoxRam>) {
     let mut store = Store::new(board.settings);
     let (settings, report) = store.load_over(params::factory()).await;
     app::log::settings(&report);
     app::log::supply(&board.supply);
+    board::erase_ahead(&mut store, &mut board.supply).await;
     let shared = shared(settings);
     shared.set_clock(board.clock);
     let aligning = settings.aligner(params::filter());

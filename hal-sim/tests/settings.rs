@@ -1,6 +1,7 @@
 //! The settings over power cuts, damage, time and other programs, on a simulated flash.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use app::hal::Supply;
 use app::nmea::Talker;
 use app::settings::{
     Group, Imu, Invalid, Mounting, Origin, OutputConfig, Report, Saved, Settings, Source, Store, StoreError,
@@ -720,6 +721,63 @@ fn the_sectors_wear_evenly_and_slowly() {
     let good_for = f64::from(saves) / f64::from(*most) * f64::from(ENDURANCE);
     println!("{erases:?}: good for {:.1} million saves", good_for * 1e-6);
     assert!(good_for > 18e6);
+}
+
+/// A supply that is enough, or not.
+struct Volts(bool);
+
+impl Supply for Volts {
+    fn is_enough(&mut self) -> bool {
+        self.0
+    }
+
+    fn is_guarded(&self) -> bool {
+        true
+    }
+}
+
+/// Where the program is in the same bank: the start makes room, and after it nothing is erased.
+#[test]
+fn nothing_is_erased_after_the_start() {
+    let erases = |flash: &Flash| flash.counts().erases.iter().sum::<u32>();
+    let flash = Flash::new(7);
+    let mut kept = Settings::default();
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    for round in 0..12 {
+        let (mut store, found, report) = start(&flash);
+        assert_eq!((found, report.wanting().count()), (kept, 0), "round {round}");
+        block_on(store.erase_ahead(&mut Volts(true))).unwrap();
+        let erased = erases(&flash);
+        let group = [Group::Encoder, Group::LastPosition][round % 2];
+        let mut saved = 0;
+        loop {
+            let mut changed = kept;
+            change(&mut changed, group, &mut rng);
+            match block_on(store.save(&changed, group)) {
+                Ok(_) => (kept, saved) = (changed, saved + 1),
+                Err(error) => break assert_eq!(error, StoreError::NotNow),
+            }
+        }
+        let least = [60, 250][round % 2];
+        assert!(saved >= least, "{saved} saves of {group:?}");
+        assert_eq!(erases(&flash), erased, "round {round}");
+    }
+    // Starts at which nothing is saved do not wear it out.
+    let (mut store, ..) = start(&flash);
+    block_on(store.erase_ahead(&mut Volts(true))).unwrap();
+    let erased = erases(&flash);
+    for _ in 0..5 {
+        let (mut store, found, _) = start(&flash);
+        assert_eq!(found, kept);
+        block_on(store.erase_ahead(&mut Volts(true))).unwrap();
+    }
+    assert_eq!(erases(&flash), erased);
+    // Nor is anything erased with too low a supply.
+    let flash = Flash::new(8);
+    let (mut store, ..) = start(&flash);
+    block_on(store.erase_ahead(&mut Volts(false))).unwrap();
+    let refused = block_on(store.save(&kept, Group::Encoder));
+    assert_eq!((refused, erases(&flash)), (Err(StoreError::NotNow), 0));
 }
 
 #[test]

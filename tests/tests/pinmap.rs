@@ -1,4 +1,4 @@
-//! The pin map of `docs/wiring.md` is the one that the image is built from.
+//! The pin map of each board's page is the one that its image is built from.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -58,55 +58,97 @@ fn pins(text: &str) -> impl Iterator<Item = &str> {
     })
 }
 
+/// A board's file and its page.
+const BOARDS: [(&str, &str); 2] = [
+    ("firmware/src/board/nucleo_f429zi.rs", "docs/wiring.md"),
+    ("firmware/src/board/weact_f405rg.rs", "docs/wiring-f405.md"),
+];
+
 #[test]
 fn the_docs_have_the_pins_of_the_board() {
-    let (board, docs) = (
-        of_board(&read("firmware/src/board.rs")),
-        of_docs(&read("docs/wiring.md")),
-    );
-    assert!(board.len() > 10, "only {} pins found", board.len());
-    assert_eq!(board, docs);
+    for (source, page) in BOARDS {
+        let (board, docs) = (of_board(&read(source)), of_docs(&read(page)));
+        assert!(board.len() > 10, "only {} pins found in {source}", board.len());
+        assert_eq!(board, docs, "{page}");
+    }
+}
+
+#[test]
+fn no_board_is_left_out() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../firmware/src/board");
+    let files = fs::read_dir(folder).unwrap().count();
+    assert_eq!(files, BOARDS.len());
+}
+
+/// All of them, so that the tasks find on each board what they ask for; only the pin held low is of one part alone.
+#[test]
+fn the_boards_have_the_same_signals() {
+    let signals = |path| {
+        let mut signals: Vec<_> = of_board(&read(path)).into_keys().collect();
+        signals.retain(|signal| signal != "held_low");
+        signals
+    };
+    assert_eq!(signals(BOARDS[0].0), signals(BOARDS[1].0));
 }
 
 #[test]
 fn no_pin_has_two_signals() {
-    let board = of_board(&read("firmware/src/board.rs"));
-    let mut pins: Vec<_> = board.values().map(|(pin, _)| pin).collect();
-    pins.sort();
-    pins.dedup();
-    assert_eq!(pins.len(), board.len());
+    for (source, _) in BOARDS {
+        let board = of_board(&read(source));
+        let mut pins: Vec<_> = board.values().map(|(pin, _)| pin).collect();
+        pins.sort();
+        pins.dedup();
+        assert_eq!(pins.len(), board.len(), "{source}");
+    }
+}
+
+/// The package of 64 pins has ports A to C, PD2 and no more; PA13 and PA14 are the debugger's, PC14 and PC15 the slow crystal's.
+#[test]
+fn the_pins_of_the_small_board_are_there() {
+    for (signal, (pin, _)) in of_board(&read(BOARDS[1].0)) {
+        let there = ["PA", "PB", "PC"].iter().any(|port| pin.starts_with(port));
+        let taken = ["PA11", "PA12", "PA13", "PA14", "PC14", "PC15", "PA8"].contains(&pin.as_str());
+        assert!(there && !taken, "{signal}: {pin}");
+    }
 }
 
 #[test]
 fn the_image_names_a_pin_nowhere_else() {
-    let board = of_board(&read("firmware/src/board.rs"));
-    for path in ["board.rs", "main.rs", "tasks.rs", "params.rs", "fault.rs"] {
-        let source = read(&format!("firmware/src/{path}"));
+    let boards = BOARDS.map(|(source, _)| (source, of_board(&read(source)).len()));
+    let others = ["board.rs", "main.rs", "tasks.rs", "params.rs", "fault.rs"];
+    let others = others.map(|file| (format!("firmware/src/{file}"), 0));
+    for (path, expected) in boards
+        .map(|(path, count)| (path.into(), count))
+        .into_iter()
+        .chain(others)
+    {
+        let source = read(&path);
         // P0 to P15 without a port are priorities; `pins` wants a port.
         let named = pins(&source).count();
-        let expected = if path == "board.rs" { board.len() } else { 0 };
         assert_eq!(named, expected, "{path}: {:?}", pins(&source).collect::<Vec<_>>());
     }
 }
 
 #[test]
 fn a_change_is_found() {
-    let (source, page) = (read("firmware/src/board.rs"), read("docs/wiring.md"));
-    let docs = of_docs(&page);
-    for (signal, (pin, function)) in of_board(&source) {
-        let line = format!("{signal}: {pin} = \"{function}\",");
-        for changed in [
-            format!("{signal}: PG7 = \"{function}\","),
-            format!("{signal}: {pin} = \"other\","),
-            format!("{signal}_: {pin} = \"{function}\","),
-        ] {
-            assert_ne!(of_board(&source.replace(&line, &changed)), docs, "{changed}");
+    for (source, page) in BOARDS {
+        let (source, page) = (read(source), read(page));
+        let docs = of_docs(&page);
+        for (signal, (pin, function)) in of_board(&source) {
+            let line = format!("{signal}: {pin} = \"{function}\",");
+            for changed in [
+                format!("{signal}: PG7 = \"{function}\","),
+                format!("{signal}: {pin} = \"other\","),
+                format!("{signal}_: {pin} = \"{function}\","),
+            ] {
+                assert_ne!(of_board(&source.replace(&line, &changed)), docs, "{changed}");
+            }
+            let row = format!("| `{signal}` | {pin} |");
+            assert_ne!(
+                of_docs(&page.replace(&row, &format!("| `{signal}` | PG7 |"))),
+                docs,
+                "{row}"
+            );
         }
-        let row = format!("| `{signal}` | {pin} |");
-        assert_ne!(
-            of_docs(&page.replace(&row, &format!("| `{signal}` | PG7 |"))),
-            docs,
-            "{row}"
-        );
     }
 }

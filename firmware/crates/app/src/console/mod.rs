@@ -336,6 +336,7 @@ const fn why(error: StoreError) -> &'static str {
         StoreError::Full => "not saved: no room",
         StoreError::Worn => "not saved: the flash is worn out",
         StoreError::Supply => "not saved: the supply is below 2.8 V",
+        StoreError::NotNow => "not saved: no room before a restart",
     }
 }
 

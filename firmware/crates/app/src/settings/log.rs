@@ -49,6 +49,8 @@ pub(super) enum LogError {
     Full,
     /// It does not hold what was written.
     Worn,
+    /// A sector would have to be erased, which is for the start, see [`Log::erase_ahead`].
+    NotNow,
 }
 
 /// A live record. Sequence 0: there is none.
@@ -67,7 +69,7 @@ impl Live {
 }
 
 /// Size of a record with a body of this length, with what fills it up.
-const fn size(length: u8) -> u32 {
+pub(super) const fn size(length: u8) -> u32 {
     (HEADER + length as usize).next_multiple_of(UNIT) as u32
 }
 
@@ -112,6 +114,8 @@ pub(super) struct Log<F> {
     active: u32,
     /// Where it is free.
     tail: u32,
+    /// Nothing is erased any more.
+    sealed: bool,
     buffer: [u8; BUFFER],
 }
 
@@ -145,6 +149,7 @@ impl<F: NorFlash> Log<F> {
             sequence: 0,
             active: 0,
             tail: 0,
+            sealed: false,
             buffer: [0; BUFFER],
         }
     }
@@ -319,18 +324,22 @@ impl<F: NorFlash> Log<F> {
         (1..sectors).map(move |step| (active + step) % sectors)
     }
 
-    fn room(&self, length: u8) -> bool {
-        self.tail + size(length) <= (self.active + 1) * Self::SECTOR
+    fn room(&self, bytes: u32) -> bool {
+        self.tail + bytes <= (self.active + 1) * Self::SECTOR
     }
 
-    /// Makes room for a record. Uses the buffer.
+    /// Makes room for a record of this [size]. Uses the buffer. Whether a sector was erased for it.
     ///
     /// Cancellation: safe; so is the end of power. What is live stays so, or is written anew.
-    pub(super) async fn prepare(&mut self, length: u8) -> Result<(), LogError> {
+    pub(super) async fn prepare(&mut self, bytes: u32) -> Result<bool, LogError> {
         self.scan().await?;
         self.scanned = false;
         self.tidy().await?;
-        if !self.room(length) {
+        let wanting = !self.room(bytes);
+        if wanting {
+            if self.sealed {
+                return Err(LogError::NotNow);
+            }
             // The next one, but for flash that was damaged.
             let sector = self
                 .others()
@@ -346,6 +355,24 @@ impl<F: NorFlash> Log<F> {
             self.tidy().await?;
         }
         self.scanned = true;
+        Ok(wanting)
+    }
+
+    /// Erases nothing from here on, but before that, if `may`, the next sector where less than half of the active one is free.
+    ///
+    /// Cancellation: as [`prepare`](Self::prepare).
+    pub(super) async fn erase_ahead(&mut self, may: bool) -> Result<(), LogError> {
+        if may && self.prepare(Self::SECTOR / 2).await? {
+            // A record says which sector is the active one; without it the next start would erase again.
+            let first = (0..KEYS as u8).find(|key| self.live(*key).is_some());
+            if let Some(key) = first {
+                let length = self.live(key).length;
+                if self.fetch(self.live(key).address, length).await? {
+                    self.append(key, length).await?;
+                }
+            }
+        }
+        self.sealed = true;
         Ok(())
     }
 
@@ -354,7 +381,7 @@ impl<F: NorFlash> Log<F> {
         let next = self.others().next();
         for key in 0..KEYS as u8 {
             let live = self.live(key);
-            if !live.is_some() || Some(live.address / Self::SECTOR) != next || !self.room(live.length) {
+            if !live.is_some() || Some(live.address / Self::SECTOR) != next || !self.room(size(live.length)) {
                 continue;
             }
             if self.fetch(live.address, live.length).await? {
@@ -382,7 +409,7 @@ impl<F: NorFlash> Log<F> {
         let whole = size(length);
         self.fill(length);
         for _ in 0..TRIES {
-            if !self.room(length) {
+            if !self.room(whole) {
                 return Err(LogError::Full);
             }
             self.sequence = self.sequence.checked_add(1).ok_or(LogError::Full)?;

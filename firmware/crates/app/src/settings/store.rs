@@ -5,8 +5,9 @@ use core::fmt;
 use embedded_storage_async::nor_flash::NorFlash;
 use frames::wording;
 
-use super::log::{Log, LogError};
+use super::log::{Log, LogError, size};
 use super::{GROUPS, Group, Invalid, Position, Settings};
+use crate::hal::Supply;
 
 /// Where the values of a group come from.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -97,6 +98,8 @@ pub enum StoreError {
     Worn,
     /// The supply is too low to write.
     Supply,
+    /// No room before the next start, which makes some: see [`Store::erase_ahead`].
+    NotNow,
 }
 
 impl fmt::Display for StoreError {
@@ -111,6 +114,7 @@ impl fmt::Display for StoreError {
             Self::Full => f.write_str("no room for settings: erase them and enter them anew"),
             Self::Worn => f.write_str("the settings' flash does not hold what is written: replace the part"),
             Self::Supply => f.write_str("the supply is below 2.8 V, flash needs more: check it, then save again"),
+            Self::NotNow => f.write_str("no room for settings until the next start: restart, set and save them again"),
         }
     }
 }
@@ -123,6 +127,7 @@ impl From<LogError> for StoreError {
             LogError::Flash => Self::Flash,
             LogError::Full => Self::Full,
             LogError::Worn => Self::Worn,
+            LogError::NotNow => Self::NotNow,
         }
     }
 }
@@ -145,8 +150,8 @@ impl From<Invalid> for StoreError {
 /// flash again.
 ///
 /// On an STM32F4 do not drop it all the same: the core stalls at the driver's next access of a register until the flash
-/// is done, half a second if it erases (RM0090, FLASH_CR), and the motor's loop with it. Awaited, it stalls nobody: the
-/// settings are in the other bank.
+/// is done, half a second if it erases (RM0090, FLASH_CR), and the motor's loop with it. Awaited, it stalls nobody where the
+/// settings are in the other bank; on a part with one bank only [`erase_ahead`](Self::erase_ahead) may erase.
 ///
 /// # Time
 ///
@@ -220,7 +225,7 @@ impl<F: NorFlash> Store<F> {
         if self.log.is_live(key, length).await? {
             return Ok(Saved::Unchanged);
         }
-        self.log.prepare(length).await?;
+        self.log.prepare(size(length)).await?;
         // The buffer was needed in between.
         self.encode(settings, group)?;
         self.log.append(key, length).await?;
@@ -239,6 +244,16 @@ impl<F: NorFlash> Store<F> {
             ..Settings::default()
         };
         self.save(&settings, Group::LastPosition).await
+    }
+
+    /// For a flash whose erase stops the program: erases nothing from here on. Before that it makes room, where less than half a
+    /// sector is free and `supply` is enough: 60 saves of the largest record, 250 of a position. To be called at the start, while
+    /// nothing turns.
+    ///
+    /// # Errors
+    /// As [`save`](Self::save); it may still erase then.
+    pub async fn erase_ahead(&mut self, supply: &mut impl Supply) -> Result<(), StoreError> {
+        Ok(self.log.erase_ahead(supply.is_enough()).await?)
     }
 
     /// Erases all settings, those of later programs as well. A power cut in it may leave some.
