@@ -9,7 +9,7 @@ use app::nmea::Talker;
 use frames::units::{DEG, DEG_PER_HOUR, PPM};
 use hal_sim::align::Method;
 use hal_sim::bus::UartLine;
-use hal_sim::scenario::Scenario;
+use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
 use hal_sim::sensors::Imu;
 use hal_sim::unit_sim::{self, Line, Observer, RobustSession, Supplied, Typed, UnitResult};
 
@@ -347,6 +347,92 @@ fn by_the_chips_own_clock_no_heading_is_valid() {
     assert_eq!(count(&heard, "$HEHDT"), 0);
     let statuses = count(&heard, "$PRNST,");
     assert!(statuses > 190 && count(&heard, ",,clock,,,") == statuses, "{statuses}");
+}
+
+/// The number behind the first of `words` in the line that begins with it.
+fn told(answers: &[String], words: &str) -> f64 {
+    let line = answers
+        .iter()
+        .find_map(|line| line.strip_prefix("ok,")?.strip_prefix(words));
+    let line = line.unwrap_or_else(|| panic!("{words} is not told: {answers:#?}"));
+    line.split(' ').next().unwrap().parse().unwrap()
+}
+
+/// `hardware` tells what self-test, calibration of the motor, homing and sampling have found, and of the rest that it was not measured.
+#[test]
+fn the_hardware_is_told_fact_by_fact() {
+    let scenario = Scenario::builtin("static").unwrap();
+    let (_, answers) = session(&scenario, 1, 30.0, &["0.1 hardware", "25 hardware"]);
+    let ends: Vec<_> = answers
+        .iter()
+        .enumerate()
+        .filter(|(_, line)| *line == "ok,no more facts")
+        .collect();
+    let [(first, _), (second, _)] = ends[..] else {
+        panic!("{answers:#?}")
+    };
+    assert_eq!((first, second), (15, 31), "{answers:#?}");
+    // Before the self-test has come to anything.
+    for words in ["imu", "imu period", "force", "gyro noise", "homed at"] {
+        let line = format!("ok,{words} not measured");
+        assert!(
+            answers[..first].iter().any(|told| told.starts_with(&line)),
+            "{line}: {answers:#?}"
+        );
+    }
+    let after = &answers[first + 1..];
+    for line in [
+        "ok,clock crystal - as expected",
+        "ok,supply above 2.8 V - as expected",
+        "ok,brown-out level 3 - as expected",
+        "ok,imu 16495 - as expected",
+        "ok,encoder answers - as expected",
+        "ok,encoder eccentricity not measured",
+        "ok,motor resistance and torque constant not measured",
+    ] {
+        assert!(after.iter().any(|told| told == line), "{line}: {after:#?}");
+    }
+    // 202.38 Hz, by a clock of the IMU that is off by what the scenario says; gravity, and the noise of the paper's gyros.
+    assert!((told(after, "imu period ") - 4941.2).abs() < 1.0);
+    assert!((told(after, "force ") - 9.80).abs() < 0.01);
+    assert!((told(after, "gyro noise ") / 0.02 - 1.0).abs() < 0.25);
+    // By the log: the edge of the switch is at 180°.
+    assert!((told(after, "homed at ") - 180.0).abs() < 10.0);
+    assert!((told(after, "motor offset ") - 46.75).abs() < 1.0);
+    assert!(told(after, "rate ") < 100.0);
+    assert_eq!(told(after, "samples lost "), 0.0);
+    assert!(after.iter().all(|line| line.len() <= 66), "{after:#?}");
+}
+
+/// What is wrong is told beside what was expected: the supply, the clock, and an encoder that is not there.
+#[test]
+fn the_hardware_tells_what_is_wrong() {
+    let mut scenario = Scenario::builtin("static").unwrap();
+    scenario.fault.push(FaultAt {
+        at_s: 0.0,
+        for_s: None,
+        kind: FaultKind::EncoderSilent,
+    });
+    let mut unit = RobustSession::new(&scenario, 2, Method::Robust, &[]).unwrap();
+    let mut answers = Answers::default();
+    unit.set_clock(ClockSource::Internal);
+    unit.reset(ResetCause::PowerOn, &mut ()).unwrap();
+    unit.set_supply(Supplied {
+        low: true,
+        unguarded: true,
+    });
+    unit.run_until_us(3_000_000, &mut answers).unwrap();
+    unit.send(b"hardware\r\n");
+    unit.run_until_us(6_000_000, &mut answers).unwrap();
+    for line in [
+        "ok,clock the chip's own - expected a crystal",
+        "ok,supply below 2.8 V - expected above",
+        "ok,brown-out level below 3 - expected 3",
+        "ok,encoder does not answer - expected an answer",
+        "ok,homed at not measured",
+    ] {
+        assert!(answers.0.iter().any(|told| told == line), "{line}: {:#?}", answers.0);
+    }
 }
 
 /// What is not saved on a low supply is saved once it is there.

@@ -511,7 +511,12 @@ fn work_on<M: RawMutex>(
     let increments = &sample.sample;
     match work {
         Work::Idle => None,
-        Work::Inspect(inspection) => inspection.push(increments).map(Input::Inspected),
+        Work::Inspect(inspection) => {
+            let verdict = inspection.push(increments)?;
+            let found = inspection.found();
+            shared.measure(|measured| measured.found = Some(found));
+            Some(Input::Inspected(verdict))
+        }
         Work::Align if taken == Taken::No => None,
         Work::Align => {
             let event = aligner.step(increments, sample.alpha?)?;

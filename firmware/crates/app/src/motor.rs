@@ -60,6 +60,7 @@ where
     let mut started = false;
     let mut on = false;
     let mut warned = 0_u16;
+    let mut side = None;
     let mut ticker = Ticker::every(Duration::from_micros(u64::from(rotor.config().dt_us)));
     loop {
         if let Either::Second(()) = select(ticker.next(), shared.encoder_start.wait()).await {
@@ -71,7 +72,9 @@ where
             let _ = rotor.command(Command::Off);
             // Warnings that last are found again after each start.
             warned = 0;
-            started = match shared.attend(Task::Motor, encoder.start()).await {
+            let answer = shared.attend(Task::Motor, encoder.start()).await;
+            shared.measure(|measured| measured.encoder = Some(answer.is_ok()));
+            started = match answer {
                 Ok(()) => {
                     shared.tell(Input::Encoder(Ok(RotorKnows {
                         calibrated: rotor.electrical_offset().is_some(),
@@ -103,6 +106,9 @@ where
             // A line that cannot be read is a fault.
             driver_fault: drive.driver.fault().unwrap_or(true),
         };
+        if side.replace(inputs.home) != Some(inputs.home) {
+            shared.measure(|measured| measured.home = side);
+        }
 
         if shared.inhibited() {
             if on {
@@ -147,6 +153,7 @@ where
             }
             (Doing::Homing, Doing::Off) => {
                 if let Some(angle) = outputs.angle {
+                    shared.measure(|measured| measured.homed = Some(angle));
                     shared.tell(Input::Homed { angle });
                 }
             }

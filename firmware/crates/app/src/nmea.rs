@@ -393,6 +393,11 @@ impl Line {
         }
     }
 
+    /// A whole number.
+    pub(crate) fn count(&mut self, count: u32) {
+        self.number(count, 0);
+    }
+
     fn start(head: &str) -> Self {
         let mut line = Self(Vec::new());
         line.text(head);

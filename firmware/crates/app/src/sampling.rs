@@ -410,6 +410,8 @@ impl<'a, M: RawMutex> Sampler<'a, M> {
         };
         let late_us = self.late(arrival, f32::from(lost), t_us);
         if let Some(measured_us) = self.period.push(edge.t_us, u32::from(lost) + 1) {
+            let period = self.period.us() * 1e-6;
+            shared.measure(|measured| measured.period = Some(period));
             let tolerance = self.config.clock_tolerance + shared.clock().tolerance();
             if let Some(fault) = clock_fault(self.nominal_us, measured_us, tolerance) {
                 self.raise(fault);

@@ -188,19 +188,27 @@ impl Inspection {
         }
         self.force = self.force + (sample.dv_s / sample.dt - self.force) / n;
         self.noise.push(sample.dtheta_s, sample.dt, sample.gap > 0.0);
-        (self.count >= self.config.samples).then(|| self.verdict(n))
+        (self.count >= self.config.samples).then(|| self.verdict())
     }
 
-    fn verdict(&self, n: f32) -> Result<Found, Failure> {
-        let c = &self.config;
-        let sds = self.squares.map(|sum| math::sqrt(sum / n));
-        let found = Found {
+    fn sds(&self) -> [f32; 3] {
+        self.squares.map(|sum| math::sqrt(sum / f32::from(self.count)))
+    }
+
+    /// What was found so far, whatever the verdict on it is.
+    pub fn found(&self) -> Found {
+        Found {
             gravity: self.force.norm(),
             rate: self.rate.norm(),
-            rate_sd: sds.into_iter().fold(0.0, f32::max),
+            rate_sd: self.sds().into_iter().fold(0.0, f32::max),
             noise: self.noise.density().into_iter().fold(0.0, f32::max),
-            noise_told: c.angle_random_walk,
-        };
+            noise_told: self.config.angle_random_walk,
+        }
+    }
+
+    fn verdict(&self) -> Result<Found, Failure> {
+        let c = &self.config;
+        let (sds, found) = (self.sds(), self.found());
         if (found.gravity - c.gravity).abs() > c.gravity_share * c.gravity {
             return Err(Failure::Gravity {
                 found: found.gravity,
@@ -235,6 +243,10 @@ mod tests {
     use crate::chance::normal;
 
     fn inspect(rate: impl Fn(u16) -> [f32; 3], force: f32) -> Result<Found, Failure> {
+        inspected(rate, force).1
+    }
+
+    fn inspected(rate: impl Fn(u16) -> [f32; 3], force: f32) -> (Found, Result<Found, Failure>) {
         let mut inspection = Inspection::new(InspectionConfig::for_imu(&ImuNoise::default()));
         for k in 0.. {
             let [x, y, z] = rate(k);
@@ -245,7 +257,7 @@ mod tests {
                 gap: 0.0,
             };
             if let Some(verdict) = inspection.push(&sample) {
-                return verdict;
+                return (inspection.found(), verdict);
             }
         }
         panic!("no verdict")
@@ -289,8 +301,11 @@ mod tests {
             ),
         ];
         for (rate, force, expected) in table {
-            let failure = inspect(rate, force).unwrap_err();
+            let (found, verdict) = inspected(rate, force);
+            let failure = verdict.unwrap_err();
             assert!(expected(&failure), "{failure}");
+            // It is known all the same.
+            assert!((found.gravity - force).abs() < 1e-3, "{found:?}");
         }
     }
 

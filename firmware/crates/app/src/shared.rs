@@ -35,8 +35,9 @@ use crate::log::{CalibrationEnd, Event, Level};
 use crate::mode::{Input, Job, Status};
 use crate::nmea_in::Fix;
 use crate::record::Frame;
-use crate::rotor;
+use crate::rotor::{self, Side};
 use crate::sample::{ImuFacts, TimedSample};
+use crate::selftest::Found;
 use crate::settings::Settings;
 use crate::utc::Utc;
 
@@ -91,6 +92,21 @@ pub struct Navigation {
     pub not_ready: Option<aligner::NotReady>,
     /// Velocity and place, while the unit navigates.
     pub track: Option<Track>,
+}
+
+/// What was measured of the hardware: of each the last since the start, `None` where nothing was.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Measured {
+    /// Time from one sample of the IMU to the next by the unit's clock, s.
+    pub period: Option<f32>,
+    /// Gravity, rate and noise in the self-test.
+    pub found: Option<Found>,
+    /// Whether the encoder took its settings.
+    pub encoder: Option<bool>,
+    /// The side that the home switch tells; in it `None` where its contacts contradict each other, or there is none.
+    pub home: Option<Option<Side>>,
+    /// The rotor's angle at which the search for the switch ended, rad.
+    pub homed: Option<f32>,
 }
 
 /// The rotor's angle at one instant.
@@ -159,6 +175,7 @@ pub struct Shared<M: RawMutex> {
     /// Time of day by a receiver.
     utc: Mutex<M, Cell<Option<Utc>>>,
     counts: Mutex<M, Cell<SampleCounts>>,
+    measured: Mutex<M, Cell<Measured>>,
     settings: Mutex<M, Cell<Settings>>,
     angles: Mutex<M, RefCell<Angles>>,
     pub(crate) inputs: Channel<M, Input, INPUTS>,
@@ -209,6 +226,13 @@ impl<M: RawMutex> Shared<M> {
                 edges: 0,
                 overruns: 0,
                 saturated: 0,
+            })),
+            measured: Mutex::new(Cell::new(Measured {
+                period: None,
+                found: None,
+                encoder: None,
+                home: None,
+                homed: None,
             })),
             settings: Mutex::new(Cell::new(settings)),
             angles: Mutex::new(RefCell::new(Angles {
@@ -323,6 +347,19 @@ impl<M: RawMutex> Shared<M> {
             let mut counts = cell.get();
             change(&mut counts);
             cell.set(counts);
+        });
+    }
+
+    /// What was measured of the hardware so far.
+    pub fn measured(&self) -> Measured {
+        self.measured.lock(Cell::get)
+    }
+
+    pub(crate) fn measure(&self, change: impl FnOnce(&mut Measured)) {
+        self.measured.lock(|cell| {
+            let mut measured = cell.get();
+            change(&mut measured);
+            cell.set(measured);
         });
     }
 

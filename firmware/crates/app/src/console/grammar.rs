@@ -32,6 +32,8 @@ pub enum Request {
     Status,
     /// The program's version.
     Version,
+    /// What was found of the hardware, and what was expected.
+    Hardware,
     /// The settings.
     Show,
     /// A setting, from now on: a number, or the place of a word among those it may be.
@@ -306,10 +308,11 @@ const fn word(name: &'static str, request: Request, help: &'static str) -> Word 
 }
 
 /// All words there are.
-pub const WORDS: [Word; 17] = [
+pub const WORDS: [Word; 18] = [
     word("help", Request::Help, "this list"),
     word("status", Request::Status, "the status sentence now"),
     word("version", Request::Version, "of the program"),
+    word("hardware", Request::Hardware, "what was found, and what was expected"),
     word("align", Request::Unit(Command::Align), "align from the beginning"),
     word(
         "calibrate",

@@ -4,6 +4,7 @@
 //! help                     what there is
 //! status                   the status sentence, now
 //! version                  of the program
+//! hardware                 what was found of the hardware, and what was expected
 //! align                    align from the beginning
 //! calibrate                calibrate the gyros: from rest, better once aligned
 //! deviation                keep what was found of the housing's gyro error; `deviation clear` forgets it
@@ -41,6 +42,7 @@ use crate::shared::Shared;
 use crate::utc::Utc;
 
 mod grammar;
+mod hardware;
 
 pub use grammar::{LONGEST, LineBuffer, LineError, Request, Setting, WORDS, Word, parse};
 
@@ -241,6 +243,13 @@ async fn obey<M: RawMutex, F: NorFlash>(
             line.words("rotary-north ");
             line.words(shared.version());
             return port.answer(line.end()).await;
+        }
+        Request::Hardware => {
+            let supply = [supply.is_enough(), supply.is_guarded()];
+            for fact in hardware::FACTS {
+                port.answer(hardware::tell(shared, supply, fact)).await;
+            }
+            (true, "no more facts")
         }
         Request::Record(on) => {
             shared.set_recording(on);
