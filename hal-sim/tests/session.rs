@@ -371,7 +371,7 @@ fn the_hardware_is_told_fact_by_fact() {
     let [(first, _), (second, _)] = ends[..] else {
         panic!("{answers:#?}")
     };
-    assert_eq!((first, second), (15, 31), "{answers:#?}");
+    assert_eq!((first, second), (16, 33), "{answers:#?}");
     // Before the self-test has come to anything.
     for words in ["imu", "imu period", "force", "gyro noise", "homed at"] {
         let line = format!("ok,{words} not measured");
@@ -402,6 +402,26 @@ fn the_hardware_is_told_fact_by_fact() {
     assert!(told(after, "rate ") < 100.0);
     assert_eq!(told(after, "samples lost "), 0.0);
     assert!(after.iter().all(|line| line.len() <= 66), "{after:#?}");
+}
+
+/// The unit finds by its rotor's reversals how late its IMU is beyond what it takes off, aligning as well as calibrating.
+#[test]
+fn the_delay_of_the_imu_is_found_by_the_unit() {
+    // No sample is ahead of the motion: less late than the part says it can be by the part's own 0.39 ms at most.
+    for (name, delay_ms) in [("static", -0.39), ("static", 0.0), ("static", 3.0), ("paper-sim", 3.0)] {
+        let mut scenario = Scenario::builtin(name).unwrap();
+        scenario.errors.imu_delay_ms = delay_ms;
+        let (_, answers) = session(&scenario, 1, 150.0, &["20 hardware", "155 hardware"]);
+        // The rotor has not turned round yet.
+        assert!(
+            answers.iter().any(|line| line == "ok,imu delay not measured"),
+            "{answers:#?}"
+        );
+        let after = answers.iter().position(|line| line == "ok,no more facts").unwrap();
+        let found = told(&answers[after..], "imu delay ");
+        let most = if name == "static" { 0.05 } else { 0.3 };
+        assert!((found - delay_ms).abs() < most, "{name}: {found} of {delay_ms} ms");
+    }
 }
 
 /// What is wrong is told beside what was expected: the supply, the clock, and an encoder that is not there.

@@ -13,6 +13,7 @@ use frames::units::DEG;
 use frames::{Body, Vec3, math};
 use nav::aligner::{self, Align, AlignerConfig, NotReady};
 use nav::calibration::{Calibration, CalibrationConfig, CalibrationError, Calibrator, REST_TRAVEL};
+use nav::delay::DelayEstimator;
 use nav::earth::OMEGA_IE;
 use nav::increment::Sample;
 use nav::mechanization::{Position, Vertical};
@@ -147,12 +148,39 @@ impl Unseen {
     }
 }
 
+/// How late the samples are against the rotor's angle, while the rotor goes back and forth.
+#[derive(Default)]
+struct Lateness {
+    estimator: DelayEstimator,
+    /// The rotor's angle at the end of the sample before, rad.
+    last: Option<f32>,
+}
+
+impl Lateness {
+    fn take<M: RawMutex>(&mut self, shared: &Shared<M>, sample: &TimedSample) {
+        let alpha = sample.alpha.filter(|_| sample.is_usable());
+        let last = core::mem::replace(&mut self.last, alpha);
+        let increments = &sample.sample;
+        match alpha.zip(last) {
+            Some((alpha, last)) if increments.gap == 0.0 => {
+                let turned = math::wrap_pi(alpha - last);
+                if self.estimator.push(increments.dtheta_s.z(), turned, increments.dt) {
+                    let delay = self.estimator.fit();
+                    shared.measure(|measured| measured.delay = delay);
+                }
+            }
+            _ => self.estimator.interrupt(),
+        }
+    }
+}
+
 /// The task. The aligner is the caller's: it is 40 kB, and belongs into a static.
 pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, config: AlignmentConfig) -> ! {
     let mut work = Work::Idle;
     let mut correction = Correction::default();
     let mut mounting = Mounting::default();
     let mut unseen = Unseen::default();
+    let mut lateness = Lateness::default();
     let mut tap = Tap::new(config.noise, config.schedule, shared.settings().position());
     let mut ground = Ground::default();
     let mut doubt = Doubt::default();
@@ -172,6 +200,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
                 };
                 mounting = settings.installation.mounting;
                 unseen = Unseen::default();
+                lateness.last = None;
                 continue;
             }
             Either3::Second(sample) => sample,
@@ -198,6 +227,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
         let mut sample = sample;
         if work.is_choosy() {
             unseen.pass(&mut sample);
+            lateness.take(shared, &sample);
         }
         if taken != Taken::No {
             sample.sample = correction.of(&sample);

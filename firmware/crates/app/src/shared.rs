@@ -25,6 +25,7 @@ use embassy_sync::signal::Signal;
 use embassy_sync::watch::Watch;
 use embassy_time::{Duration, Instant, Timer};
 use nav::aligner;
+use nav::delay::Delay;
 use nav::deviation::Deviation;
 use nav::navigator::Track;
 
@@ -101,6 +102,8 @@ pub struct Measured {
     pub period: Option<f32>,
     /// Gravity, rate and noise in the self-test.
     pub found: Option<Found>,
+    /// How late the IMU is against the encoder, beyond what its driver says.
+    pub delay: Option<Delay>,
     /// Whether the encoder took its settings.
     pub encoder: Option<bool>,
     /// The side that the home switch tells; in it `None` where its contacts contradict each other, or there is none.
@@ -230,6 +233,7 @@ impl<M: RawMutex> Shared<M> {
             measured: Mutex::new(Cell::new(Measured {
                 period: None,
                 found: None,
+                delay: None,
                 encoder: None,
                 home: None,
                 homed: None,

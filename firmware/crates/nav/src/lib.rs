@@ -46,6 +46,7 @@ mod chance;
 pub mod coarse;
 pub mod constraint;
 pub mod covariance;
+pub mod delay;
 pub mod deviation;
 pub mod earth;
 pub mod fading;

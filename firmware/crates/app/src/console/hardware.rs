@@ -23,6 +23,7 @@ pub(super) enum Fact {
     Force,
     Rate,
     Noise,
+    Delay,
     Encoder,
     Eccentricity,
     Home,
@@ -31,7 +32,7 @@ pub(super) enum Fact {
     Motor,
 }
 
-pub(super) static FACTS: [Fact; 15] = [
+pub(super) static FACTS: [Fact; 16] = [
     Fact::Clock,
     Fact::Supply,
     Fact::BrownOut,
@@ -41,6 +42,7 @@ pub(super) static FACTS: [Fact; 15] = [
     Fact::Force,
     Fact::Rate,
     Fact::Noise,
+    Fact::Delay,
     Fact::Encoder,
     Fact::Eccentricity,
     Fact::Home,
@@ -118,6 +120,13 @@ pub(super) fn tell<M: RawMutex>(shared: &Shared<M>, [enough, guarded]: [bool; 2]
             let noise = measured.found.map(|found| found.noise / scale);
             line.found("gyro noise ", noise, 3, " deg/sqrt(h)");
             line.found(" - expected ", Some(settings.noise.angle_random_walk / scale), 3, "");
+        }
+        Fact::Delay => {
+            let delay = measured.delay;
+            line.found("imu delay ", delay.map(|found| found.delay * 1e3), 2, " ms");
+            if let Some(found) = delay {
+                line.found(" sd ", Some(found.sd * 1e3), 2, " - expected 0.00");
+            }
         }
         Fact::Encoder => line.words(match measured.encoder {
             Some(true) => "encoder answers - as expected",
