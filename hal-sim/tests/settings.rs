@@ -751,6 +751,7 @@ fn nothing_is_erased_after_the_start() {
         let group = [Group::Encoder, Group::LastPosition][round % 2];
         let mut saved = 0;
         loop {
+            assert!(saved < 1000, "a sector was erased for them");
             let mut changed = kept;
             change(&mut changed, group, &mut rng);
             match block_on(store.save(&changed, group)) {
