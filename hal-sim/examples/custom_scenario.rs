@@ -72,7 +72,7 @@ fn main() -> Result<(), Box<dyn core::error::Error>> {
         let heading = unit.all.as_ref().ok_or("no run came to an estimate")?.heading;
         println!(
             "{rate_dps:2} °/s {ideal:13.3}° {:12.3}° {:12.3}° {:12.2}   {} of {}",
-            heading.rms_deg, heading.predicted_sd_deg, heading.normalised_squared, unit.aligned, report.runs
+            heading.rms_deg, heading.predicted_sd_deg, heading.nees, unit.aligned, report.runs
         );
     }
     Ok(())

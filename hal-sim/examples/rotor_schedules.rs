@@ -97,7 +97,7 @@ fn main() -> Result<(), Box<dyn core::error::Error>> {
             let heading = unit.all.as_ref().ok_or("no run came to an estimate")?.heading;
             println!(
                 "| {name} | {:.2}° | {:.2}° | {:.2} | {:.2}° | {} |",
-                heading.rms_deg, heading.predicted_sd_deg, heading.normalised_squared, report.bound_deg, unit.aligned
+                heading.rms_deg, heading.predicted_sd_deg, heading.nees, report.bound_deg, unit.aligned
             );
         }
         println!();

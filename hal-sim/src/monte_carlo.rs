@@ -24,7 +24,7 @@ pub struct Spread {
     /// Root of the mean square of the predicted 1σ, degrees.
     pub predicted_sd_deg: f64,
     /// Mean of (error/σ)²: one where σ is honest.
-    pub normalised_squared: f64,
+    pub nees: f64,
 }
 
 /// Statistics of an attitude over the runs.
@@ -58,7 +58,7 @@ impl Statistics {
                 rms_deg: mean_of(&|e, _| e * e).sqrt(),
                 worst_deg: pairs.iter().map(|(e, _)| angle(e).abs()).fold(0.0, f64::max),
                 predicted_sd_deg: mean_of(&|_, s| s * s).sqrt(),
-                normalised_squared: mean_of(&|e, s| (e / s).powi(2)),
+                nees: mean_of(&|e, s| (e / s).powi(2)),
             }
         };
         Some(Self {

@@ -270,7 +270,7 @@ fn moment<const B: usize>(aligner: &Aligner<f32, B>, t_s: f64, rotor_deg: f64) -
         t_s,
         reading,
         rotor_deg,
-        innovation: innovation.map_or(f64::NAN, |(last, _)| f64::from(last.normalised_squared) / 3.0),
+        innovation: innovation.map_or(f64::NAN, |(last, _)| f64::from(last.nis) / 3.0),
         innovation_ratio: innovation.map_or(f64::NAN, |(_, ratio)| f64::from(ratio)),
     })
 }

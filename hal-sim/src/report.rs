@@ -559,7 +559,7 @@ fn spread_rows(statistics: &Statistics, over_bound: Option<f64>) -> Vec<Vec<Stri
         ("scatter, 1σ (°)", |s| fixed(s.sd_deg, 4)),
         ("largest error (°)", |s| fixed(s.worst_deg, 4)),
         ("predicted σ (°)", |s| fixed(s.predicted_sd_deg, 4)),
-        ("mean of (error/σ)²", |s| fixed(s.normalised_squared, 2)),
+        ("mean of (error/σ)²", |s| fixed(s.nees, 2)),
     ];
     let angles = [&statistics.heading, &statistics.pitch, &statistics.roll];
     let mut rows: Vec<Vec<String>> = rows

@@ -6,7 +6,7 @@ use nav::aligner::{Aligner, AlignerError, Event};
 use nav::calibration::{Calibration, CalibrationConfig, CalibrationError, Calibrator};
 use nav::coarse::{Coarse, CoarsePoint, CoarseSolution};
 use nav::earth::Earth;
-use nav::increment::{Compensator, Decimator, Sample};
+use nav::increment::{ConingScullingCorrector, Decimator, Sample};
 use nav::model::{PAPER, ROBUST};
 use serde::Serialize;
 
@@ -232,7 +232,7 @@ impl Iterator for Simulation {
 /// its end.
 #[derive(Debug, Clone)]
 struct PaperCoarse<T: Real> {
-    compensator: Compensator<T>,
+    corrector: ConingScullingCorrector<T>,
     decimator: Decimator<T>,
     coarse: Coarse<T>,
     /// The times asked for, s, and the integrals at each.
@@ -242,7 +242,7 @@ struct PaperCoarse<T: Real> {
 impl<T: Real> PaperCoarse<T> {
     fn new(times: impl IntoIterator<Item = f64>) -> Self {
         Self {
-            compensator: Compensator::new(),
+            corrector: ConingScullingCorrector::new(),
             decimator: Decimator::new(T::lit(0.05)),
             coarse: Coarse::new(),
             points: times.into_iter().map(|t| (t, None)).collect(),
@@ -250,7 +250,7 @@ impl<T: Real> PaperCoarse<T> {
     }
 
     fn push(&mut self, sample: &Sample<T>) {
-        let increment = self.compensator.increment(sample);
+        let increment = self.corrector.increment(sample);
         let Some(joined) = self.decimator.push(&increment) else {
             return;
         };

@@ -31,16 +31,16 @@ fn paper_sim_reaches_the_bound() {
         assert!(fine.heading.rms_deg <= 0.40, "{fine:?}");
         assert!(fine.heading.mean_deg.abs() <= 0.08, "{fine:?}");
         assert!(fine.pitch.rms_deg <= 0.005 && fine.roll.rms_deg <= 0.005, "{fine:?}");
-        assert!((0.8..1.2).contains(&fine.heading.normalised_squared), "{fine:?}");
+        assert!((0.8..1.2).contains(&fine.heading.nees), "{fine:?}");
         assert!((fine.heading.predicted_sd_deg - 0.352).abs() < 0.01, "{fine:?}");
         // Tilt σ is honest as well: the spread of 200 runs is ±0.1.
-        assert!((0.7..1.3).contains(&fine.pitch.normalised_squared), "{fine:?}");
-        assert!((0.7..1.3).contains(&fine.roll.normalised_squared), "{fine:?}");
+        assert!((0.7..1.3).contains(&fine.pitch.nees), "{fine:?}");
+        assert!((0.7..1.3).contains(&fine.roll.nees), "{fine:?}");
     }
     // Coarse alignment alone: biases dominate, and its σ says so.
     let coarse = report.coarse.unwrap();
     assert!((0.6..1.2).contains(&coarse.heading.rms_deg), "{coarse:?}");
-    assert!((0.7..1.4).contains(&coarse.heading.normalised_squared), "{coarse:?}");
+    assert!((0.7..1.4).contains(&coarse.heading.nees), "{coarse:?}");
 }
 
 /// Published SDs: coarse 1.49°, KF 1.20°, STF 0.91°. The bound with this instability is 0.445°.
@@ -66,7 +66,7 @@ fn moored_is_found_where_the_papers_filter_is_lost() {
     let fine = robust.fine.unwrap();
     assert!(robust.aligned >= 97, "{robust:?}");
     assert!(fine.heading.rms_deg <= 0.95, "{fine:?}");
-    assert!((0.65..1.4).contains(&fine.heading.normalised_squared), "{fine:?}");
+    assert!((0.65..1.4).contains(&fine.heading.nees), "{fine:?}");
     assert!(fine.pitch.rms_deg <= 0.02 && fine.roll.rms_deg <= 0.02, "{fine:?}");
     assert_eq!(paper.aligned, 0, "{paper:?}");
 }
@@ -91,8 +91,8 @@ fn an_imu_as_sold_is_as_good_as_its_noise_and_knows_how_good() {
             "{name}: {robust:?}"
         );
         assert!(all.heading.rms_deg <= most, "{name}: {all:?}");
-        assert!((0.6..1.5).contains(&all.heading.normalised_squared), "{name}: {all:?}");
-        assert!((0.6..1.5).contains(&all.pitch.normalised_squared), "{name}: {all:?}");
+        assert!((0.6..1.5).contains(&all.heading.nees), "{name}: {all:?}");
+        assert!((0.6..1.5).contains(&all.pitch.nees), "{name}: {all:?}");
     }
 }
 
@@ -116,15 +116,9 @@ fn a_tilted_axis_leaves_an_honest_heading() {
         };
         let all = robust.all.unwrap();
         assert!(all.heading.rms_deg <= most, "{part} {name}: {all:?}");
-        assert!(
-            (0.5..2.2).contains(&all.heading.normalised_squared),
-            "{part} {name}: {all:?}"
-        );
+        assert!((0.5..2.2).contains(&all.heading.nees), "{part} {name}: {all:?}");
         if let Some(fine) = robust.fine {
-            assert!(
-                (0.5..1.6).contains(&fine.heading.normalised_squared),
-                "{part} {name}: {fine:?}"
-            );
+            assert!((0.5..1.6).contains(&fine.heading.nees), "{part} {name}: {fine:?}");
             assert!(fine.heading.worst_deg < 4.0, "{part} {name}: {fine:?}");
         }
     }
@@ -146,7 +140,7 @@ fn half_a_degree_per_second_of_bias_is_found() {
         let all = robust.all.unwrap();
         assert_eq!(all.runs, 100, "{name}");
         assert!(all.heading.rms_deg <= most, "{name}: {all:?}");
-        assert!((0.7..1.4).contains(&all.heading.normalised_squared), "{name}: {all:?}");
+        assert!((0.7..1.4).contains(&all.heading.nees), "{name}: {all:?}");
     }
 }
 
@@ -164,7 +158,7 @@ fn a_random_walk_that_is_configured_too_small_shows_in_sigma() {
     let heading = robust.all.unwrap().heading;
     assert_eq!(robust.aligned, 0, "{robust:?}");
     assert!((1.6..2.1).contains(&heading.predicted_sd_deg), "{heading:?}");
-    assert!((0.6..1.4).contains(&heading.normalised_squared), "{heading:?}");
+    assert!((0.6..1.4).contains(&heading.nees), "{heading:?}");
 }
 
 /// A floor that trembles by half a millimetre moves at 13 times the velocity that the paper's filter is told: it is
@@ -176,7 +170,7 @@ fn a_lively_floor_costs_nothing() {
     let fine = report.fine.unwrap();
     assert_eq!(fine.runs, 100);
     assert!(fine.heading.rms_deg <= 0.42, "{fine:?}");
-    assert!((0.7..1.35).contains(&fine.heading.normalised_squared), "{fine:?}");
+    assert!((0.7..1.35).contains(&fine.heading.nees), "{fine:?}");
     assert_eq!(report.by_method[1].aligned, 0, "{report:?}");
 }
 
@@ -188,7 +182,7 @@ fn gyrocompass_standard_settles_in_minutes() {
     let report = monte_carlo::run(&scenario, 60, 4, &[Method::Robust], || ()).unwrap();
     let fine = report.fine.unwrap();
     assert!(fine.heading.rms_deg <= 1.2, "{fine:?}");
-    assert!((0.6..1.45).contains(&fine.heading.normalised_squared), "{fine:?}");
+    assert!((0.6..1.45).contains(&fine.heading.nees), "{fine:?}");
 }
 
 /// A step of 5 °/h on every gyro at 150 s, heading 60 s later: the plain filter does not stand by its result, the
@@ -213,7 +207,7 @@ fn a_base_that_moves_is_refused_by_the_papers_filters() {
     let report = report("moored", 40, 2, &[Method::Kf, Method::Stf]);
     for method in &report.by_method {
         // Either the result is refused, or it is honest.
-        let honest = method.fine.is_none_or(|fine| fine.heading.normalised_squared < 2.0);
+        let honest = method.fine.is_none_or(|fine| fine.heading.nees < 2.0);
         assert!(honest && method.aligned + method.inconsistent == 40, "{method:?}");
     }
 }

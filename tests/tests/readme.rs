@@ -33,7 +33,7 @@ fn the_table_is_what_the_command_prints() {
             format!("{:.3}°", s.heading.rms_deg),
             format!("{:.3}°", s.heading.mean_deg),
             format!("{:.3}°", s.heading.predicted_sd_deg),
-            format!("{:.2}", s.heading.normalised_squared),
+            format!("{:.2}", s.heading.nees),
             format!("{:.4}°", s.pitch.rms_deg),
             format!("{:.4}°", s.roll.rms_deg),
         ]

@@ -21,7 +21,7 @@ pub struct Sentence {
 
 /// A line.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Heard {
+pub enum LineEvent {
     /// A sentence.
     Sentence(Sentence),
     /// Anything else, without CR LF.
@@ -52,7 +52,7 @@ pub struct Splitter {
 
 impl Splitter {
     /// Takes a byte that came at `t_ns`; gives the line that ends with it.
-    pub fn push(&mut self, t_ns: u64, byte: u8) -> Option<Heard> {
+    pub fn push(&mut self, t_ns: u64, byte: u8) -> Option<LineEvent> {
         if self.last_ns.is_none_or(|last| t_ns > last + PAUSE_NS) {
             self.burst_ns = t_ns;
         }
@@ -79,10 +79,10 @@ impl Splitter {
         let Some(text) = checked(&line) else {
             self.received.others += 1;
             let text = String::from_utf8_lossy(&line);
-            return Some(Heard::Other(text.trim_end_matches('\r').to_owned()));
+            return Some(LineEvent::Other(text.trim_end_matches('\r').to_owned()));
         };
         self.received.sentences += 1;
-        Some(Heard::Sentence(Sentence {
+        Some(LineEvent::Sentence(Sentence {
             burst_ns: self.burst_ns,
             t_ns,
             text,
@@ -133,8 +133,8 @@ mod tests {
             .zip(text.bytes())
             .filter_map(|(t, byte)| splitter.push(t, byte))
             .filter_map(|heard| match heard {
-                Heard::Sentence(sentence) => Some(sentence),
-                Heard::Other(text) => {
+                LineEvent::Sentence(sentence) => Some(sentence),
+                LineEvent::Other(text) => {
                     assert!(!text.contains(['\r', '\n']), "{text:?}");
                     None
                 }

@@ -5,7 +5,7 @@
 //!  ADIS16495 ┤ SPI1, EXTI0                                  TIM1, PF15, PE15 ├ bridge ─► plant ─► rotor angle
 //!  MT6835    ┤ SPI3                                              PF13, PF14 ├ home switch         │
 //!  listener  ┤ USART3                                                        │                     │
-//!            └───────────────────────────────────────────────────────────────┘      truth ─► exposure ─► ADIS16495
+//!            └───────────────────────────────────────────────────────────────┘      truth ─► sampler ─► ADIS16495
 //! ```
 //!
 //! The emulator stops every [`STEP_NS`] on a fixed grid, and at the exact instants of samples, edges and faults. At a
@@ -33,13 +33,13 @@ use embassy_futures::block_on;
 use hal_sim::align::{self, Angles, Method};
 use hal_sim::device::flash::Flash;
 use hal_sim::device::{Adis16495, EncoderFaults, ImuFaults, Mt6835, SensorModel as _};
-use hal_sim::inspect::wording::{Told, Wording};
+use hal_sim::inspect::parser::{LogEvent, LogParser};
 use hal_sim::plant::{Plant, PlantFaults};
 use hal_sim::scenario::{Buses, Scenario};
 use hal_sim::sensors::{Stream, stream};
 use hal_sim::truth::Truth;
 use hal_sim::unit_sim::fault::{self, Breakable, Step};
-use hal_sim::unit_sim::{Exposure, Made, ModeAt, motion};
+use hal_sim::unit_sim::{ModeAt, SensorSampler, UnitModel, motion};
 use nav::rotor::RotorState;
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
@@ -56,7 +56,7 @@ use crate::error::Error;
 use crate::image::Image;
 use crate::load::Meter;
 use crate::log::{Line, Reader};
-use crate::nmea::{self, Heard, Sentence, Splitter};
+use crate::nmea::{self, LineEvent, Sentence, Splitter};
 use crate::outcome::{Cost, FaultSeen, Gaps, Moment, Outcome, ResetSeen, Verdict};
 use crate::part::{BridgeTimer, flash};
 use crate::stack::Stack;
@@ -206,7 +206,7 @@ struct Supply {
 /// The unit's surroundings.
 struct World<O> {
     plant: Plant,
-    exposure: Exposure,
+    sampler: SensorSampler,
     truth: Truth,
     harmonics: Vec<(u16, f64, f64)>,
     /// The plant's time, ns.
@@ -236,7 +236,7 @@ struct World<O> {
     resets_seen: usize,
 
     reader: Reader,
-    wording: Wording,
+    parser: LogParser,
     splitter: Splitter,
     meter: Meter,
     stack: Stack,
@@ -261,7 +261,7 @@ impl<O: Observer> World<O> {
         let scenario = &setup.scenario;
         scenario.check_for_unit()?;
         let truth = Truth::new(scenario, setup.seed)?;
-        let mut made = Made::new(scenario, setup.seed);
+        let mut made = UnitModel::new(scenario, setup.seed);
         // As firmware/src/params.rs has them, until the unit is calibrated.
         made.remount_encoder(0.0);
         let harmonics = made.harmonics(scenario);
@@ -284,7 +284,7 @@ impl<O: Observer> World<O> {
         typed.sort_by_key(|(at_ns, _)| *at_ns);
         let angle = plant.angle();
         Ok(Self {
-            exposure: Exposure::new(scenario, setup.seed, &truth),
+            sampler: SensorSampler::new(scenario, setup.seed, &truth),
             truth,
             harmonics,
             at_ns: 0,
@@ -307,7 +307,7 @@ impl<O: Observer> World<O> {
             hung: false,
             resets_seen: 0,
             reader: Reader::new(image)?,
-            wording: Wording::learn(),
+            parser: LogParser::learn(),
             splitter: Splitter::default(),
             meter: Meter::default(),
             stack,
@@ -434,7 +434,7 @@ impl<O: Observer> World<O> {
             (us as f64 * 1e-6 - behind, RotorState { angle, ..state })
         };
         let (start, end) = (earlier(from_us.min(now_us - 1), from), earlier(now_us, to));
-        let measured = self.exposure.sample(start, end, &mut self.plant);
+        let measured = self.sampler.sample(start, end, &mut self.plant);
         model.set_motion(motion(&measured, end.0 - start.0));
         model.advance(now_us);
         let edges = model.take_data_ready();
@@ -528,13 +528,13 @@ impl<O: Observer> World<O> {
         let t_s = line.t_ns as f64 * 1e-9;
         let ours = line.level != "host";
         self.silent &= !ours;
-        match self.wording.read(&line.text).filter(|_| ours) {
-            Some(Told::Mode(mode)) => {
+        match self.parser.read(&line.text).filter(|_| ours) {
+            Some(LogEvent::Mode(mode)) => {
                 let mode = mode.as_str();
                 self.mode = mode.to_owned();
                 self.modes.push(ModeAt { t_s, mode });
             }
-            Some(Told::Fault { .. }) => self.seen.push(FaultSeen {
+            Some(LogEvent::Fault { .. }) => self.seen.push(FaultSeen {
                 t_s,
                 text: line.text.clone(),
                 motor_off: !self.plant.driven(),
@@ -584,8 +584,8 @@ impl<O: Observer> World<O> {
         for (t_ns, byte) in heard.map(Listener::take).unwrap_or_default() {
             self.observer.serial(byte);
             match self.splitter.push(t_ns, byte) {
-                Some(Heard::Sentence(sentence)) => self.sentence(&sentence),
-                Some(Heard::Other(text)) => self.tell(t_ns, format!("< {text}")),
+                Some(LineEvent::Sentence(sentence)) => self.sentence(&sentence),
+                Some(LineEvent::Other(text)) => self.tell(t_ns, format!("< {text}")),
                 None => {}
             }
         }

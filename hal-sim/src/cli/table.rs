@@ -97,7 +97,7 @@ pub(super) fn monte_carlo(report: &monte_carlo::Report) -> String {
                 spread.sd_deg,
                 spread.rms_deg,
                 spread.predicted_sd_deg,
-                spread.normalised_squared,
+                spread.nees,
                 over_bound.unwrap_or_default()
             );
         }

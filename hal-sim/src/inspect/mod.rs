@@ -2,14 +2,14 @@
 //!
 //! ```text
 //! defmt over RTT ─► Frames ─┐ (with the image's ELF file)
-//!                           ├─► Line ─► Wording ─► Timeline ─► table, CSV, chart, live view
+//!                           ├─► Line ─► LogParser ─► Timeline ─► table, CSV, chart, live view
 //! text ─► text::line ───────┘
 //! ```
 //!
 //! | module | what is in it |
 //! |---|---|
 //! | [`defmt`], [`text`] | bytes to lines |
-//! | [`wording`] | what a line says, in the words of [`app::log`] |
+//! | [`parser`] | parses a line of the log, by the texts of [`app::log`] |
 //! | [`timeline`] | what happened when |
 //! | [`report`], [`chart`], [`live`] | for people |
 //!
@@ -23,10 +23,10 @@
 pub mod chart;
 pub mod defmt;
 pub mod live;
+pub mod parser;
 pub mod report;
 pub mod text;
 pub mod timeline;
-pub mod wording;
 
 use core::fmt;
 use std::fs::File;

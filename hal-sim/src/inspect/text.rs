@@ -14,7 +14,7 @@
 use log::Level;
 use serde_json::Value;
 
-use super::wording::{self, Attitude};
+use super::parser::{self, Attitude};
 use crate::nmea;
 
 /// Levels by name. What the emulator says itself has one of its own.
@@ -163,7 +163,7 @@ pub fn prnst(fields: &[&str]) -> Option<Status> {
     }
     Some(Status {
         t_s: number(fields, 1)?,
-        mode: fields.get(2).and_then(|name| wording::mode(name)),
+        mode: fields.get(2).and_then(|name| parser::mode(name)),
         heading_sd_deg: number(fields, 4),
     })
 }

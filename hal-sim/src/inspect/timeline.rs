@@ -6,8 +6,8 @@ use app::command::ModeName;
 use log::Level;
 use serde::Serialize;
 
+use super::parser::{Attitude, LogEvent, LogParser};
 use super::text::{self, Line};
-use super::wording::{Attitude, Told, Wording};
 
 /// A log's clock that goes back by more has begun anew with its unit, s. Less is two tasks' lines that overtook.
 const BACK_S: f64 = 0.5;
@@ -186,7 +186,7 @@ pub struct Timeline {
     /// What became of the samples.
     pub samples: Samples,
     #[serde(skip)]
-    wording: Wording,
+    parser: LogParser,
     /// Added to the times of the log.
     #[serde(skip)]
     offset_s: f64,
@@ -225,7 +225,7 @@ impl Timeline {
             setbacks: Vec::new(),
             errors: Vec::new(),
             samples: Samples::default(),
-            wording: Wording::learn(),
+            parser: LogParser::learn(),
             offset_s: 0.0,
             clock_s: None,
             timed: false,
@@ -323,13 +323,13 @@ impl Timeline {
     /// Takes a line of the log.
     pub(super) fn line(&mut self, line: Line) -> Option<News> {
         // What a host says among it are not the unit's words: echoes of what is typed, for instance.
-        let told = line.level.and_then(|_| self.wording.read(&line.text));
+        let told = line.level.and_then(|_| self.parser.read(&line.text));
         self.lines += 1;
         self.understood += u64::from(told.is_some());
         self.timed |= line.t_s.is_some();
         let (t_s, back) = self.time(line.t_s);
-        let begun = core::mem::replace(&mut self.begun, told == Some(Told::Version));
-        if back && !matches!(told, Some(Told::Started { .. } | Told::Version)) {
+        let begun = core::mem::replace(&mut self.begun, told == Some(LogEvent::Version));
+        if back && !matches!(told, Some(LogEvent::Started { .. } | LogEvent::Version)) {
             self.start(t_s, None);
         }
         let said = || SaidAt {
@@ -338,52 +338,52 @@ impl Timeline {
         };
         match told {
             None if line.level == Some(Level::Error) => self.errors.push(said()),
-            None | Some(Told::Note) => {}
-            Some(Told::Version) => self.start(t_s, None),
-            Some(Told::Started { cause }) => match self.starts.last_mut() {
+            None | Some(LogEvent::Note) => {}
+            Some(LogEvent::Version) => self.start(t_s, None),
+            Some(LogEvent::Started { cause }) => match self.starts.last_mut() {
                 Some(start) if begun => start.cause = Some(cause),
                 _ => self.start(t_s, Some(cause)),
             },
-            Some(Told::Mode(mode)) => {
+            Some(LogEvent::Mode(mode)) => {
                 self.tells[0] = true;
                 self.enter(t_s, mode);
             }
-            Some(Told::Estimate(attitude)) => {
+            Some(LogEvent::Estimate(attitude)) => {
                 self.tells[1] = true;
                 return Some(self.estimate(t_s, attitude));
             }
-            Some(Told::Coarse { heading_deg, sd_deg }) => self.coarse.push(CoarseAt {
+            Some(LogEvent::Coarse { heading_deg, sd_deg }) => self.coarse.push(CoarseAt {
                 t_s,
                 heading_deg,
                 heading_sd_deg: sd_deg,
             }),
-            Some(Told::NotAligned | Told::AlignsAnew) => self.setbacks.push(said()),
-            Some(Told::Fault { name, text }) => self.faults.push(FaultAt {
+            Some(LogEvent::NotAligned | LogEvent::AlignsAnew) => self.setbacks.push(said()),
+            Some(LogEvent::Fault { name, text }) => self.faults.push(FaultAt {
                 t_s,
                 name,
                 text,
                 retry: None,
                 latched: false,
             }),
-            Some(Told::Retry { attempt }) => {
+            Some(LogEvent::Retry { attempt }) => {
                 if let Some(fault) = self.faults.last_mut() {
                     fault.retry = Some((attempt, t_s));
                 }
             }
-            Some(Told::Latched) => {
+            Some(LogEvent::Latched) => {
                 if let Some(fault) = self.faults.last_mut() {
                     fault.latched = true;
                 }
             }
-            Some(Told::Lost { samples, .. }) => {
+            Some(LogEvent::Lost { samples, .. }) => {
                 self.samples.lost += u64::from(samples);
                 self.samples.gaps += 1;
             }
-            Some(Told::Repeated { .. }) => self.samples.repeated += 1,
-            Some(Told::Transfer) => self.samples.transfers += 1,
+            Some(LogEvent::Repeated { .. }) => self.samples.repeated += 1,
+            Some(LogEvent::Transfer) => self.samples.transfers += 1,
             // Each line gives the sum since the start, which is told at most once in a while.
-            Some(Told::Overrun { total }) => self.samples.overruns = self.samples.overruns.max(total.into()),
-            Some(Told::Bridged { ms }) => {
+            Some(LogEvent::Overrun { total }) => self.samples.overruns = self.samples.overruns.max(total.into()),
+            Some(LogEvent::Bridged { ms }) => {
                 self.samples.bridged += 1;
                 self.samples.bridged_ms += ms;
             }

@@ -22,7 +22,7 @@ use std::time::{Duration, Instant};
 
 use app::console::{self, Request};
 
-use monitor::{Heard, Monitor};
+use monitor::{LineEvent, Monitor};
 pub use port::{Port, PortError};
 
 /// Time between two paintings of the screen.
@@ -189,7 +189,7 @@ impl Link {
 
     /// Waits for what comes until `until`; what was typed is sent. What came is given to `heard` one by one, first
     /// the monitor takes it.
-    fn listen(&mut self, until: Instant, heard: &mut dyn FnMut(Heard, &Monitor)) -> Result<Listened, LinkError> {
+    fn listen(&mut self, until: Instant, heard: &mut dyn FnMut(LineEvent, &Monitor)) -> Result<Listened, LinkError> {
         let wait = until.saturating_duration_since(Instant::now());
         match self.events.recv_timeout(wait) {
             Ok(Event::Bytes(bytes)) => {
@@ -213,7 +213,7 @@ impl Link {
     }
 
     /// All that comes until `until`.
-    fn listen_on(&mut self, until: Instant, heard: &mut dyn FnMut(Heard, &Monitor)) -> Result<(), LinkError> {
+    fn listen_on(&mut self, until: Instant, heard: &mut dyn FnMut(LineEvent, &Monitor)) -> Result<(), LinkError> {
         while Instant::now() < until {
             self.listen(until, heard)?;
         }
@@ -293,10 +293,10 @@ fn tell(link: &mut Link, end: Option<Instant>) -> Result<(), LinkError> {
         let (begun, next) = (link.begun, Instant::now() + PAINT);
         link.listen(next, &mut |heard, monitor| {
             let line = match heard {
-                Heard::Status => screen::line(monitor, begun.elapsed().as_secs_f64()),
-                Heard::Answer { ok, text } => screen::answer(ok, &text),
-                Heard::Text(text) => text,
-                Heard::Other => return,
+                LineEvent::Status => screen::line(monitor, begun.elapsed().as_secs_f64()),
+                LineEvent::Answer { ok, text } => screen::answer(ok, &text),
+                LineEvent::Text(text) => text,
+                LineEvent::Other => return,
             };
             // Whoever read it has gone: enough.
             broken |= writeln!(io::stdout(), "{line}").is_err();
@@ -377,7 +377,7 @@ fn asked(link: &mut Link, line: &str, several: Several, timeout: Duration) -> Re
     while Instant::now() < until && (several != Several::No || answers.is_empty()) {
         let had = answers.len();
         link.listen(until, &mut |heard, _| {
-            if let Heard::Answer { ok, text } = heard {
+            if let LineEvent::Answer { ok, text } = heard {
                 answers.push((ok, text));
             }
         })?;
@@ -417,7 +417,7 @@ fn status(link: &mut Link, line: &str, timeout: Duration) -> Result<String, Link
     let mut told = None;
     while told.is_none() && Instant::now() < until {
         link.listen(until, &mut |heard, monitor| {
-            if heard == Heard::Status {
+            if heard == LineEvent::Status {
                 told = Some(screen::line(monitor, begun.elapsed().as_secs_f64()));
             }
         })?;
@@ -443,13 +443,13 @@ fn calibration(link: &mut Link) -> Result<String, LinkError> {
         }
         let [good, bad] = CALIBRATED;
         link.listen(until, &mut |heard, monitor| match (heard, monitor.status()) {
-            (Heard::Text(text), _) if text.starts_with(good) => {
+            (LineEvent::Text(text), _) if text.starts_with(good) => {
                 ended.get_or_insert(Ok(text));
             }
-            (Heard::Text(text), _) if text.starts_with(bad) => {
+            (LineEvent::Text(text), _) if text.starts_with(bad) => {
                 ended.get_or_insert(Err(text));
             }
-            (Heard::Status, Some(status)) => {
+            (LineEvent::Status, Some(status)) => {
                 if status.mode == "calibrating" {
                     if !begun {
                         until = Instant::now() + CALIBRATION;

@@ -16,9 +16,9 @@ const RATE_S: f64 = 3.0;
 /// Later than this after its coming a value is old, s: ten cycles.
 pub const FRESH_S: f64 = 1.0;
 
-/// What has come, but for what the monitor keeps itself.
+/// What a received line was; its values are kept by the monitor.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Heard {
+pub enum LineEvent {
     /// An answer to a command.
     Answer {
         /// Whether the unit obeys.
@@ -123,7 +123,7 @@ pub struct Monitor {
 
 impl Monitor {
     /// Takes bytes that have come at `now_s`; tells what was whole with them.
-    pub fn take(&mut self, bytes: &[u8], now_s: f64, heard: &mut dyn FnMut(Heard, &Self)) {
+    pub fn take(&mut self, bytes: &[u8], now_s: f64, heard: &mut dyn FnMut(LineEvent, &Self)) {
         self.counts.bytes += bytes.len() as u64;
         // What a frame held that turned out to be none is looked at again, before what came after it.
         let mut rest: VecDeque<u8> = bytes.iter().copied().collect();
@@ -132,7 +132,7 @@ impl Monitor {
         }
     }
 
-    fn push(&mut self, byte: u8, rest: &mut VecDeque<u8>, now_s: f64, heard: &mut dyn FnMut(Heard, &Self)) {
+    fn push(&mut self, byte: u8, rest: &mut VecDeque<u8>, now_s: f64, heard: &mut dyn FnMut(LineEvent, &Self)) {
         match core::mem::take(&mut self.within) {
             Within::Frame(mut frame) => {
                 frame.push(byte);
@@ -170,7 +170,7 @@ impl Monitor {
         }
     }
 
-    fn end(&mut self, line: &[u8], now_s: f64, heard: &mut dyn FnMut(Heard, &Self)) {
+    fn end(&mut self, line: &[u8], now_s: f64, heard: &mut dyn FnMut(LineEvent, &Self)) {
         let text = core::str::from_utf8(line).unwrap_or_default().trim_end();
         let body = match nmea::body(text) {
             Ok(body) => body,
@@ -192,7 +192,7 @@ impl Monitor {
         heard(told, self);
     }
 
-    fn sentence(&mut self, body: &str, now_s: f64) -> Heard {
+    fn sentence(&mut self, body: &str, now_s: f64) -> LineEvent {
         let fields: Vec<&str> = body.split(',').collect();
         let field = |n: usize| fields.get(n).copied().unwrap_or_default();
         let number = |n: usize| field(n).parse().ok().filter(|value: &f64| value.is_finite());
@@ -207,7 +207,7 @@ impl Monitor {
         // The talker is not looked at: who speaks on a line is known.
         match field(0) {
             "PRNSA" => {
-                return Heard::Answer {
+                return LineEvent::Answer {
                     ok: field(1) == "ok",
                     text: from(2),
                 };
@@ -224,7 +224,7 @@ impl Monitor {
                     rotor: number(8),
                 };
                 self.status = at(now_s, status);
-                return Heard::Status;
+                return LineEvent::Status;
             }
             "PASHR" => {
                 let level = number(5).zip(number(4)).map(|(pitch, roll)| Level { pitch, roll });
@@ -248,11 +248,11 @@ impl Monitor {
                         self.speed = at(now_s, km_h / 3.6);
                     }
                 }
-                Some("TXT") => return Heard::Text(from(4)),
+                Some("TXT") => return LineEvent::Text(from(4)),
                 _ => {}
             },
         }
-        Heard::Other
+        LineEvent::Other
     }
 
     /// What was heard since the beginning.
@@ -329,7 +329,7 @@ mod tests {
 
     use super::*;
 
-    fn heard(monitor: &mut Monitor, bytes: &[u8], now_s: f64) -> Vec<Heard> {
+    fn heard(monitor: &mut Monitor, bytes: &[u8], now_s: f64) -> Vec<LineEvent> {
         let mut all = Vec::new();
         monitor.take(bytes, now_s, &mut |heard, _| all.push(heard));
         all
@@ -351,7 +351,7 @@ mod tests {
     fn a_cycle_is_all_there() {
         let mut monitor = Monitor::default();
         let all = heard(&mut monitor, CYCLE, 2.0);
-        assert_eq!(all.last(), Some(&Heard::Status));
+        assert_eq!(all.last(), Some(&LineEvent::Status));
         assert_eq!((all.len(), monitor.counts().sentences), (5, 5));
         assert_eq!(monitor.heading(2.5), (Some(339.02), 'A'));
         assert_eq!(
@@ -396,11 +396,11 @@ mod tests {
         assert_eq!(
             all,
             [
-                Heard::Answer {
+                LineEvent::Answer {
                     ok: true,
                     text: "set - save it then restart".to_owned()
                 },
-                Heard::Answer {
+                LineEvent::Answer {
                     ok: false,
                     text: "only once aligned".to_owned()
                 },
@@ -408,7 +408,7 @@ mod tests {
         );
         // What the unit says by itself is no answer.
         let told = heard(&mut monitor, b"$HCTXT,01,01,02,gyros calibrated - or so*0E\r\n", 0.0);
-        assert_eq!(told, [Heard::Text("gyros calibrated - or so".to_owned())]);
+        assert_eq!(told, [LineEvent::Text("gyros calibrated - or so".to_owned())]);
         heard(&mut monitor, b"$PRNST,9.00,fault,3,,,driver,R,*49\r\n", 0.0);
         let found = monitor.counts();
         assert_eq!((found.sentences, found.checksum), (4, 0), "{found:?}");
@@ -473,7 +473,7 @@ mod tests {
             let (mut whole, mut parts) = (Monitor::default(), Monitor::default());
             let bytes = [&bytes[..], CYCLE].concat();
             let at_once = heard(&mut whole, &bytes, 0.0);
-            let in_parts: Vec<Heard> = bytes.chunks(cut).flat_map(|part| heard(&mut parts, part, 0.0)).collect();
+            let in_parts: Vec<LineEvent> = bytes.chunks(cut).flat_map(|part| heard(&mut parts, part, 0.0)).collect();
             prop_assert_eq!(at_once, in_parts);
             prop_assert_eq!(whole.counts(), parts.counts());
         }

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::path::Path;
 
-use super::monitor::{FRESH_S, Heard, Monitor};
+use super::monitor::{FRESH_S, LineEvent, Monitor};
 use crate::dial::dial;
 
 /// About what a calibration takes, s: a minute at rest, four legs of 18 s, and coming to rest.
@@ -23,11 +23,11 @@ pub struct Answers(VecDeque<String>);
 
 impl Answers {
     /// Keeps it, if it is one.
-    pub fn take(&mut self, heard: &Heard) {
+    pub fn take(&mut self, heard: &LineEvent) {
         let line = match heard {
-            Heard::Answer { ok, text } => answer(*ok, text),
-            Heard::Text(text) => text.clone(),
-            Heard::Status | Heard::Other => return,
+            LineEvent::Answer { ok, text } => answer(*ok, text),
+            LineEvent::Text(text) => text.clone(),
+            LineEvent::Status | LineEvent::Other => return,
         };
         if self.0.len() == ANSWERS {
             self.0.pop_front();
@@ -246,13 +246,13 @@ mod tests {
         let (monitor, mut answers) = (monitor(), Answers::default());
         let height = picture("unit", &monitor, &answers, None, 1.0).len();
         for k in 0..20 {
-            answers.take(&Heard::Answer {
+            answers.take(&LineEvent::Answer {
                 ok: k % 2 == 0,
                 text: format!("{k}"),
             });
             assert_eq!(picture("unit", &monitor, &answers, None, 1.0).len(), height);
         }
-        answers.take(&Heard::Text("gyros calibrated".to_owned()));
+        answers.take(&LineEvent::Text("gyros calibrated".to_owned()));
         let shown = picture("unit", &monitor, &answers, Some(Path::new("run.bin")), 1.1).join("\n");
         for part in [
             "gyros calibrated",

@@ -20,7 +20,7 @@ use frames::{Attitude, Body, Nav, Rot, Sensor, Vec3};
 use nalgebra::{Matrix3, Vector3};
 use nav::calibration::{self, Calibration, CalibrationConfig, CalibrationError, Calibrator};
 use nav::earth::Earth;
-use nav::increment::{Compensator, Sample};
+use nav::increment::{ConingScullingCorrector, Sample};
 use nav::mechanization::{Mechanization, Position, Radii, Vertical};
 use rayon::prelude::*;
 
@@ -303,8 +303,8 @@ fn whole_turn(axis: usize, rate: f64, term: Term) -> Result<(Vector3<f64>, f64),
         Term::Gyro(i, j) => matrix[(i, j)] = SIZE,
     }
     let mut runs = [
-        (Compensator::new(), table.navigator()?),
-        (Compensator::new(), table.navigator()?),
+        (ConingScullingCorrector::new(), table.navigator()?),
+        (ConingScullingCorrector::new(), table.navigator()?),
     ];
     let mut unmodulated = 0.0;
     for _ in 0..STEPS {
@@ -314,9 +314,9 @@ fn whole_turn(axis: usize, rate: f64, term: Term) -> Result<(Vector3<f64>, f64),
             _ => dt,
         };
         let measured = sample(dtheta + matrix * dtheta + gyro_bias * dt, dv + accel_bias * dt, dt);
-        for ((compensator, navigator), sample) in runs.iter_mut().zip([sample(dtheta, dv, dt), measured]) {
+        for ((corrector, navigator), sample) in runs.iter_mut().zip([sample(dtheta, dv, dt), measured]) {
             navigator
-                .step(&compensator.increment(&sample))
+                .step(&corrector.increment(&sample))
                 .map_err(ReproduceError::failed)?;
         }
     }
@@ -745,15 +745,15 @@ fn navigate<const C: usize>(
     let steps = (NAVIGATE * RATE_HZ) as u32;
     let radii = Radii::new(table.place.latitude.sin());
     let east = radii.prime_vertical * table.place.latitude.cos();
-    let mut runs = [(); C].map(|()| (Compensator::new(), [0.0; 9], Trace::new()));
+    let mut runs = [(); C].map(|()| (ConingScullingCorrector::new(), [0.0; 9], Trace::new()));
     let mut navigators = [table.navigator()?; C];
     for k in 1..=steps {
         let (dtheta, dv) = table.turn(rate, dt);
         let m = imu.measure(Vec3::from_vector(dtheta), Vec3::from_vector(dv), dt);
         let measured = sample(m.dtheta_s.vector(), m.dv_s.vector(), dt);
         for c in 0..C {
-            let (compensator, squares, trace) = &mut runs[c];
-            let increment = compensator.increment(&corrections[c](&measured));
+            let (corrector, squares, trace) = &mut runs[c];
+            let increment = corrector.increment(&corrections[c](&measured));
             navigators[c].step(&increment).map_err(ReproduceError::failed)?;
             if k % EVERY == 0 {
                 let (moved, v) = (navigators[c].displacement(), navigators[c].velocity());

@@ -14,7 +14,7 @@ use frames::{Body, Nav, Rot, Sensor, Vec3};
 use nalgebra::{Rotation3, SMatrix, Vector3};
 use nav::earth::{Earth, EarthError};
 use nav::fine::{FilterConfig, FineFilter};
-use nav::increment::{Compensator, Sample};
+use nav::increment::{ConingScullingCorrector, Sample};
 use nav::model::PAPER;
 use nav::noise::ImuNoise;
 use rand::RngExt;
@@ -410,7 +410,7 @@ impl Turntable {
         };
         let mut filter = FineFilter::new(config, self.earth, started, None).map_err(ReproduceError::failed)?;
         filter.close_loop();
-        let mut compensator = Compensator::new();
+        let mut corrector = ConingScullingCorrector::new();
         let dt = SAMPLES_HZ.recip();
         let f_n = -self.earth.g_n();
         let keep = (-dt / noise.gyro_instability_tau).exp();
@@ -434,7 +434,7 @@ impl Turntable {
                 dt,
                 gap: 0.0,
             };
-            filter.step(&compensator.increment(&sample), 0.0);
+            filter.step(&corrector.increment(&sample), 0.0);
             if (k + 1) % 100 != 0 {
                 continue;
             }

@@ -21,7 +21,7 @@
 //! supervision, 50 µs for the serial port. Not modelled: the 11 ms of a replay step, delays inside the devices but for the IMU's.
 
 pub mod fault;
-mod made;
+mod model;
 mod record;
 mod session;
 mod world;
@@ -70,7 +70,7 @@ use crate::sensors::{Measured, Stream, stream};
 use crate::truth::Truth;
 
 use fault::Breakable;
-pub use made::{Exposure, Made, motion};
+pub use model::{SensorSampler, UnitModel, motion};
 pub use record::Line;
 use session::{Outbox, Ram};
 pub use session::{RobustSession, Session, Watched};
@@ -535,7 +535,7 @@ fn bench<const B: usize>(
     typed: &[Typed],
 ) -> Result<Bench<B>, UnitError> {
     scenario.check_for_unit()?;
-    let made = Made::new(scenario, seed);
+    let made = UnitModel::new(scenario, seed);
     let (plant, edge) = (&made.plant, made.plant.home_edge);
     let setup = Setup::of(scenario, method);
     let told = setup.settings();
@@ -629,7 +629,7 @@ fn spawn_world<const B: usize>(
         ..DataReady::default()
     };
     let world = bench.world.clone();
-    let mut exposure = Exposure::new(scenario, seed, truth);
+    let mut sampler = SensorSampler::new(scenario, seed, truth);
     let (core, record) = (Rc::clone(core), Rc::clone(&bench.record));
     let exposed = move |from_us: u64, to_us: u64| {
         let (from_us, to_us) = (from_us.min(to_us.saturating_sub(1)), to_us);
@@ -637,7 +637,7 @@ fn spawn_world<const B: usize>(
         let dt = t1 - t0;
         world.now(|physics| {
             let (from, to) = (physics.rotor_at(from_us * 1000), physics.rotor_at(to_us * 1000));
-            let measured = exposure.sample((t0, from), (t1, to), &mut physics.plant);
+            let measured = sampler.sample((t0, from), (t1, to), &mut physics.plant);
             if record.borrow().aligning_at_us.is_some() {
                 core.borrow_mut().take(to_us, &measured, dt, to.angle);
             }

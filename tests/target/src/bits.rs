@@ -91,8 +91,8 @@ pub fn run(aligner: &mut Core, motion: &mut Motion) -> Outcome {
             continue;
         }
         if let Some((innovation, ratio)) = aligner.innovation() {
-            said.push(&innovation.excess.to_array());
-            said.push(&[innovation.normalised_squared, ratio]);
+            said.push(&innovation.residual.to_array());
+            said.push(&[innovation.nis, ratio]);
         }
         let Some(estimate) = aligner.estimate() else { continue };
         said.push(&estimate.c_nb.quaternion());

@@ -15,7 +15,7 @@ use frames::{Real, Rot, Vec3, math, units::DEG};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use nav::aligner::Mode;
 use nav::coarse::Coarse;
-use nav::covariance::{Coupling, Covariance};
+use nav::covariance::{Covariance, TransitionBlock};
 use nav::earth::Earth;
 use nav::fine::{FilterConfig, FineFilter};
 use nav::increment::{Increment, Sample};
@@ -98,7 +98,7 @@ pub fn process_noise() -> [f32; PAPER] {
 pub const R: f32 = 1e-5;
 
 /// One prediction and one measurement of three components with nav's covariance.
-pub fn sparse_step(p: &mut Covariance<f32, PAPER>, couplings: &[Coupling<f32>; 5], q: &[f32; PAPER]) {
+pub fn sparse_step(p: &mut Covariance<f32, PAPER>, couplings: &[TransitionBlock<f32>; 5], q: &[f32; PAPER]) {
     p.propagate(couplings);
     for (block, q) in q.iter().enumerate() {
         p.add(block, block, &(Matrix3::identity() * *q));
@@ -149,8 +149,8 @@ pub fn dense_model() -> (Dense, Dense, SMatrix<f32, 3, 12>) {
 }
 
 /// The couplings as nav takes them.
-pub fn sparse_model() -> [Coupling<f32>; 5] {
-    couplings().map(|(row, col, block)| Coupling { row, col, block })
+pub fn sparse_model() -> [TransitionBlock<f32>; 5] {
+    couplings().map(|(row, col, block)| TransitionBlock { row, col, block })
 }
 
 fn increment() -> Increment {

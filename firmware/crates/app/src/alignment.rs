@@ -27,10 +27,10 @@ use crate::mode::{Input, Job};
 use crate::nmea_in::Fix;
 use crate::record::Taken;
 use crate::sample::TimedSample;
+use crate::sample_recorder::SampleRecorder;
 use crate::selftest::{Inspection, InspectionConfig};
 use crate::settings::{Imu, Mounting, Position as Place, Source, Thermal};
 use crate::shared::{Navigation, Shared};
-use crate::tap::Tap;
 
 /// The task checks in at least this often when no samples come.
 const IDLE: Duration = Duration::from_millis(10);
@@ -181,7 +181,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
     let mut mounting = Mounting::default();
     let mut unseen = Unseen::default();
     let mut lateness = Lateness::default();
-    let mut tap = Tap::new(config.noise, config.schedule, shared.settings().position());
+    let mut recorder = SampleRecorder::new(config.noise, config.schedule, shared.settings().position());
     let mut ground = Ground::default();
     let mut doubt = Doubt::default();
     let mut since_published = 0;
@@ -191,7 +191,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
             Either3::First(job) => {
                 // What waits was measured before.
                 shared.forget_samples();
-                work = begin(shared, aligner, &mut tap, job, &config);
+                work = begin(shared, aligner, &mut recorder, job, &config);
                 doubt = Doubt::default();
                 let settings = shared.settings();
                 correction = Correction {
@@ -207,10 +207,10 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
             Either3::Third(()) => continue,
         };
         while let Ok(fix) = shared.fixes.try_receive() {
-            if let Some(input) = heed(
+            if let Some(input) = handle_fix(
                 &mut work,
                 &mut *aligner,
-                &mut tap,
+                &mut recorder,
                 &mut ground,
                 &mut doubt,
                 &fix,
@@ -232,7 +232,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
         if taken != Taken::No {
             sample.sample = correction.of(&sample);
         }
-        tap.take(shared, &sample, taken);
+        recorder.take(shared, &sample, taken);
         if matches!(work, Work::Inspect(_)) {
             // Judged as it will be taken; recorded as it is.
             sample.sample = correction.of(&sample);
@@ -261,7 +261,7 @@ pub async fn run<M: RawMutex>(shared: &Shared<M>, aligner: &mut dyn Align, confi
 fn begin<M: RawMutex>(
     shared: &Shared<M>,
     aligner: &mut dyn Align,
-    tap: &mut Tap,
+    recorder: &mut SampleRecorder,
     job: Job,
     config: &AlignmentConfig,
 ) -> Work {
@@ -281,7 +281,7 @@ fn begin<M: RawMutex>(
             aligner.set_deviation(deviation);
             // A place that cannot be is refused where it is set; here the one before would stay.
             let set = aligner.set_place(latitude, height);
-            tap.aligns(set.ok().map(|()| place), deviation);
+            recorder.aligns(set.ok().map(|()| place), deviation);
             Work::Align
         }
         Job::Calibrate { aligned } => {
@@ -302,7 +302,7 @@ fn begin<M: RawMutex>(
                 height,
             };
             let navigator = aligner
-                .hand_over()
+                .alignment_result()
                 .ok_or(NavigationEnd::NotAligned)
                 .and_then(|from| Navigator::new(config.navigator, place, &from).map_err(|_| NavigationEnd::Lost));
             navigator.map_or_else(
@@ -446,10 +446,10 @@ impl Doubt {
     clippy::too_many_arguments,
     reason = "each belongs to the task, and none with another"
 )]
-fn heed(
+fn handle_fix(
     work: &mut Work,
     aligner: &mut dyn Align,
-    tap: &mut Tap,
+    recorder: &mut SampleRecorder,
     ground: &mut Ground,
     doubt: &mut Doubt,
     fix: &Fix,
@@ -461,15 +461,15 @@ fn heed(
     match work {
         Work::Align if begins => {
             aligner.start_anew();
-            tap.anew();
+            recorder.anew();
             Some(Input::Alignment(Alignment::UnderWay { speed: motion.speed }))
         }
         Work::Align => {
-            let goes_by = tap.place().latitude;
+            let goes_by = recorder.place().latitude;
             let is_off = |latitude: f32| (latitude - goes_by).abs() > LATITUDE_OFF;
             let Place { latitude, height, .. } = *in_force;
             if in_force.source == Source::Gnss && is_off(latitude) && aligner.set_place(latitude, height).is_ok() {
-                tap.moves(*in_force);
+                recorder.moves(*in_force);
                 *doubt = Doubt::default();
                 let latitude_deg = latitude / DEG as f32;
                 return Some(Input::Alignment(Alignment::Elsewhere { latitude_deg }));

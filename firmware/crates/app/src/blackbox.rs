@@ -32,11 +32,11 @@ use frames::wording;
 
 use crate::command::ModeName;
 use crate::fault::{Fault, Task};
-use crate::figure::{deg, hex_digit};
+use crate::fixed_decimal::{deg, hex_digit};
 use crate::hal::ResetCause;
-use crate::nmea::{Line, Sentence};
+use crate::nmea::{Sentence, SentenceBuilder};
 
-pub use crate::figure::seconds;
+pub use crate::fixed_decimal::seconds;
 
 /// Crashes in a row after which the motor is kept off: one may be chance, a second one bad luck.
 pub const CRASHES: u32 = 3;
@@ -228,9 +228,9 @@ impl From<&Fault> for Cause {
     }
 }
 
-/// What the unit was doing.
+/// State of the unit at the time of an entry.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Doing {
+pub struct Context {
     /// Its mode.
     pub mode: Option<ModeName>,
     /// Since its start, s.
@@ -246,8 +246,8 @@ pub struct Entry {
     pub start: u16,
     /// Why.
     pub cause: Cause,
-    /// Doing what.
-    pub doing: Doing,
+    /// State of the unit then.
+    pub context: Context,
     /// How often in a row; the rest is of the last time.
     pub count: u16,
 }
@@ -256,8 +256,8 @@ impl Entry {
     /// As an answer on the serial line.
     #[inline(never)]
     pub(crate) fn answer(&self) -> Sentence {
-        let mut line = Line::answer(true);
-        let Doing { mode, t_s, heading_sd } = self.doing;
+        let mut line = SentenceBuilder::answer(true);
+        let Context { mode, t_s, heading_sd } = self.context;
         line.words("start ");
         line.decimal(self.start.into(), 0);
         line.words(" ");
@@ -299,7 +299,7 @@ impl Entry {
 }
 
 /// A word of an answer.
-fn letters(line: &mut Line, bytes: impl Iterator<Item = u8>) {
+fn letters(line: &mut SentenceBuilder, bytes: impl Iterator<Item = u8>) {
     line.words(" ");
     for byte in bytes {
         line.words(char::from(byte).encode_utf8(&mut [0; 2]));
@@ -319,7 +319,7 @@ wording!(Entry, |self, say| {
         Cause::HardFault { reasons, at } => say!("hard fault {:#010x} at {:#010x}", reasons, at),
         Cause::Hang | Cause::BrownOut => say!("{}", name),
     }
-    let Doing { mode, t_s, heading_sd } = self.doing;
+    let Context { mode, t_s, heading_sd } = self.context;
     if let Some(mode) = mode {
         say!(" in mode {}", mode);
     }
@@ -382,7 +382,7 @@ impl Counters {
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Life {
     start: u16,
-    doing: Doing,
+    context: Context,
     /// A reset was asked for.
     asked: bool,
     /// A fault is latched.
@@ -403,12 +403,12 @@ impl Life {
             asked: flags & ASKED != 0,
             held: flags & HELD != 0,
             rests: flags & RESTS != 0,
-            doing: doing(mode as u8, t_s, sd),
+            context: context(mode as u8, t_s, sd),
         })
     }
 
     fn write(&self, memory: &mut impl Memory) {
-        let (mode, t_s, sd) = packed(&self.doing);
+        let (mode, t_s, sd) = packed(&self.context);
         let flag = |is, flag| if is { flag } else { 0 };
         let flags = flag(self.asked, ASKED) | flag(self.held, HELD) | flag(self.rests, RESTS);
         let words = [self.start.into(), flags, mode.into(), t_s, sd, 0, 0, 0, 0];
@@ -417,16 +417,16 @@ impl Life {
 }
 
 /// Before anything was noted.
-const NOTHING: Doing = Doing {
+const NOTHING: Context = Context {
     mode: None,
     t_s: 0,
     heading_sd: None,
 };
 
 #[inline(never)]
-fn doing(mode: u8, t_s: u32, sd: u32) -> Doing {
+fn context(mode: u8, t_s: u32, sd: u32) -> Context {
     let sd = f32::from_bits(sd);
-    Doing {
+    Context {
         mode: ModeName::ALL.get(usize::from(mode)).copied(),
         t_s,
         heading_sd: (!sd.is_nan()).then_some(sd),
@@ -434,11 +434,11 @@ fn doing(mode: u8, t_s: u32, sd: u32) -> Doing {
 }
 
 #[inline(never)]
-fn packed(doing: &Doing) -> (u8, u32, u32) {
+fn packed(context: &Context) -> (u8, u32, u32) {
     (
-        doing.mode.map_or(NONE, |mode| mode as u8),
-        doing.t_s,
-        doing.heading_sd.unwrap_or(f32::NAN).to_bits(),
+        context.mode.map_or(NONE, |mode| mode as u8),
+        context.t_s,
+        context.heading_sd.unwrap_or(f32::NAN).to_bits(),
     )
 }
 
@@ -467,7 +467,7 @@ fn decoded(memory: &impl Memory, slot: usize) -> Option<Entry> {
         start: run as u16,
         count: (run >> 16) as u16,
         cause: Cause::decode(kind, code, facts)?,
-        doing: doing(mode, t_s, sd),
+        context: context(mode, t_s, sd),
     })
 }
 
@@ -489,16 +489,16 @@ const fn slot_of(number: u32) -> usize {
 
 /// Puts a record in. The same cause in the same mode as in the last one makes that one count on.
 #[inline(never)]
-fn put(memory: &mut impl Memory, cause: Cause, start: u16, doing: &Doing) {
+fn put(memory: &mut impl Memory, cause: Cause, start: u16, context: &Context) {
     let mut number = newest(memory);
     let mut count = 1;
     match decoded(memory, slot_of(number)) {
-        Some(last) if last.cause == cause && last.doing.mode == doing.mode => count = last.count.saturating_add(1),
+        Some(last) if last.cause == cause && last.context.mode == context.mode => count = last.count.saturating_add(1),
         // From one on.
         _ => number = number.wrapping_add(1),
     }
     let (kind, code, [first, second, third, fourth]) = cause.encode();
-    let (mode, t_s, sd) = packed(doing);
+    let (mode, t_s, sd) = packed(context);
     let run = u32::from(start) | u32::from(count) << 16;
     let what = u32::from_le_bytes([kind, code, mode, 0]);
     let words = [number, run, what, t_s, sd, first, second, third, fourth];
@@ -510,9 +510,9 @@ fn put(memory: &mut impl Memory, cause: Cause, start: u16, doing: &Doing) {
 pub fn note(memory: &mut impl Memory, cause: Cause, t_s: u32) {
     let start = Counters::read(memory).starts;
     let life = Life::read(memory).filter(|life| life.start == start);
-    let mut doing = life.map_or(NOTHING, |life| life.doing);
-    doing.t_s = t_s;
-    put(memory, cause, start, &doing);
+    let mut context = life.map_or(NOTHING, |life| life.context);
+    context.t_s = t_s;
+    put(memory, cause, start, &context);
 }
 
 /// The records, the oldest first.
@@ -552,7 +552,7 @@ impl<M: Memory> BlackBox<M> {
     pub fn start(mut memory: M, cause: ResetCause, now_us: u64) -> Self {
         let mut counters = Counters::read(&memory);
         let life = Life::read(&memory).filter(|life| life.start == counters.starts);
-        let ran_s = life.map_or(0, |life| life.doing.t_s);
+        let ran_s = life.map_or(0, |life| life.context.t_s);
         let last = |memory: &M| {
             let entry = decoded(memory, slot_of(newest(memory)))?;
             (entry.start == counters.starts && entry.cause.is_fatal()).then_some(entry)
@@ -588,7 +588,7 @@ impl<M: Memory> BlackBox<M> {
         counters.write(&mut memory);
         let life = Life {
             start: counters.starts,
-            doing: NOTHING,
+            context: NOTHING,
             asked: false,
             held: cause != ResetCause::PowerOn && life.is_some_and(|life| life.held),
             rests: crashed && life.is_some_and(|life| life.rests),
@@ -649,26 +649,26 @@ impl<M: Memory> BlackBox<M> {
 
     /// Notes a fault.
     #[inline(never)]
-    pub fn fault(&mut self, fault: &Fault, doing: Doing) {
-        put(&mut self.memory, fault.into(), self.counters.starts, &doing);
+    pub fn fault(&mut self, fault: &Fault, context: Context) {
+        put(&mut self.memory, fault.into(), self.counters.starts, &context);
     }
 
     /// Whether [`BlackBox::live`] has something to note: a second has gone by, or the mode is another one.
     pub fn is_due(&self, now_us: u64, mode: ModeName) -> bool {
-        self.life.doing.t_s != self.run_s(now_us) || self.life.doing.mode != Some(mode)
+        self.life.context.t_s != self.run_s(now_us) || self.life.context.mode != Some(mode)
     }
 
     /// Notes what the unit is doing, see [`BlackBox::is_due`].
     #[inline(never)]
-    pub fn live(&mut self, doing: Doing) {
-        self.life.doing = doing;
+    pub fn live(&mut self, context: Context) {
+        self.life.context = context;
         self.life.write(&mut self.memory);
-        match doing.mode {
+        match context.mode {
             Some(ModeName::Aligned | ModeName::Navigating) => self.forgive(),
             Some(ModeName::Fault) | None => self.sound_s = None,
             Some(_) => {
-                let since = *self.sound_s.get_or_insert(doing.t_s);
-                if doing.t_s.saturating_sub(since) >= SOUND_S {
+                let since = *self.sound_s.get_or_insert(context.t_s);
+                if context.t_s.saturating_sub(since) >= SOUND_S {
                     self.forgive();
                 }
             }

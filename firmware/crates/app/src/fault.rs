@@ -11,7 +11,7 @@ use drivers::mt6835::Warnings;
 use drivers::{Channels, Error, SystemFlags};
 use frames::wording;
 
-use crate::figure::figure;
+use crate::fixed_decimal::fixed_decimal;
 use crate::rotor::{Refused, RotorFault};
 use crate::selftest::Failure;
 
@@ -305,15 +305,15 @@ wording!(Fault, |self, say| {
         Self::ImuRestarted => say!("the IMU has restarted: check its supply"),
         Self::ImuFlags { flags } => say!("the IMU reports {:#06x}", flags.bits()),
         Self::OverTemperature { temperature_c } => {
-            say!("the IMU is at {} degC: let it cool", figure(temperature_c, 0));
+            say!("the IMU is at {} degC: let it cool", fixed_decimal(temperature_c, 0));
         }
         Self::Clock {
             expected_us,
             measured_us,
         } => say!(
             "samples come every {} us instead of {}: check the crystal and DEC_RATE",
-            figure(measured_us, 1),
-            figure(expected_us, 1)
+            fixed_decimal(measured_us, 1),
+            fixed_decimal(expected_us, 1)
         ),
         Self::EncoderInvalid => say!("{}", RotorFault::EncoderInvalid),
         Self::EncoderFrozen => say!("{}", RotorFault::EncoderFrozen),

@@ -21,7 +21,7 @@
 //! | [`nmea`] | sentences of NMEA 0183, pure |
 //! | [`output`] | estimates and status → sentences on a serial line |
 //! | [`record`] | samples and status → frames of a binary log, pure |
-//! | [`tap`] | where samples leave for the record |
+//! | [`sample_recorder`] | where samples leave for the record |
 //! | [`panel`] | lamps and a button |
 //! | [`report`] | what the unit does → a line of the log, once a second |
 //! | [`settings`] | the unit's settings, and their store in flash |
@@ -51,7 +51,7 @@ mod chance;
 pub mod command;
 pub mod console;
 pub mod fault;
-mod figure;
+mod fixed_decimal;
 pub mod hal;
 pub mod log;
 pub mod mode;
@@ -65,10 +65,10 @@ pub mod record;
 pub mod report;
 pub mod rotor;
 pub mod sample;
+pub mod sample_recorder;
 pub mod sampling;
 pub mod selftest;
 pub mod settings;
 pub mod shared;
 pub mod supervisor;
-pub mod tap;
 pub mod utc;

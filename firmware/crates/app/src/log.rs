@@ -13,7 +13,7 @@ use nav::navigator::NavigatorError;
 use crate::blackbox::Start;
 use crate::command::{Command, ModeName};
 use crate::fault::Fault;
-use crate::figure::{deg, deg_sqrt_h, figure};
+use crate::fixed_decimal::{deg, deg_sqrt_h, fixed_decimal};
 use crate::hal::{ClockSource, Supply};
 use crate::selftest::Found;
 use crate::settings;
@@ -184,14 +184,14 @@ impl Report {
 wording!(Report, |self, say| {
     say!("{}", self.mode.column());
     match self.rotor_deg {
-        Some(rotor) => say!(" rotor {} deg", figure(rotor, 1).signed().column(3)),
+        Some(rotor) => say!(" rotor {} deg", fixed_decimal(rotor, 1).signed().column(3)),
         None => say!(" rotor unknown"),
     }
     if let Some([heading, pitch, roll, sd]) = self.attitude_deg {
-        say!(", heading {} deg", figure(heading, 2).column(3));
-        say!(", sd {} deg", figure(sd, 3).column(2));
-        say!(", pitch {} deg", figure(pitch, 2).signed().column(2));
-        say!(", roll {} deg", figure(roll, 2).signed().column(2));
+        say!(", heading {} deg", fixed_decimal(heading, 2).column(3));
+        say!(", sd {} deg", fixed_decimal(sd, 3).column(2));
+        say!(", pitch {} deg", fixed_decimal(pitch, 2).signed().column(2));
+        say!(", roll {} deg", fixed_decimal(roll, 2).signed().column(2));
     }
 });
 
@@ -272,7 +272,7 @@ wording!(CalibrationFailure, |self, say| {
     if let Self::BaseMoved { scatter } = *self {
         say!(
             ", residuals have {} times their variance: set the unit on firm ground",
-            figure(scatter, 1)
+            fixed_decimal(scatter, 1)
         );
     }
 });
@@ -306,7 +306,7 @@ impl From<NavigatorError> for NavigationEnd {
 wording!(NavigationEnd, |self, say| {
     match *self {
         Self::NotAligned => say!("there is no estimate to begin from"),
-        Self::Gap { length } => say!("{} s without data", figure(length, 3)),
+        Self::Gap { length } => say!("{} s without data", fixed_decimal(length, 3)),
         Self::BadSample => say!("an impossible sample"),
         Self::Lost => say!("place or velocity are impossible"),
     }
@@ -401,31 +401,34 @@ wording!(Alignment, |self, say| {
     match *self {
         Self::CoarseDone { heading_deg, sd_deg } => say!(
             "coarse alignment: heading {} deg, sd {} deg",
-            figure(heading_deg, 2),
-            figure(sd_deg, 2)
+            fixed_decimal(heading_deg, 2),
+            fixed_decimal(sd_deg, 2)
         ),
         Self::CaughtUp => say!("fine filter is live"),
         Self::Aligned => say!("aligned"),
-        Self::HeadingSd { sd_deg } => say!("no longer aligned: heading sd {} deg", figure(sd_deg, 2)),
+        Self::HeadingSd { sd_deg } => say!("no longer aligned: heading sd {} deg", fixed_decimal(sd_deg, 2)),
         Self::Ambiguous { heading_offset_deg } => say!(
             "no longer aligned: a heading {} deg off fits as well",
-            figure(heading_offset_deg, 1)
+            fixed_decimal(heading_offset_deg, 1)
         ),
         Self::Inconsistent { ratio } => say!(
             "no longer aligned: innovations are {} times the model's variance; does the base travel?",
-            figure(ratio, 1)
+            fixed_decimal(ratio, 1)
         ),
         Self::Collecting => say!("collecting"),
-        Self::Bridged { ms } => say!("{} ms without data, bridged", figure(ms, 1)),
+        Self::Bridged { ms } => say!("{} ms without data, bridged", fixed_decimal(ms, 1)),
         Self::RestartedCoarse => say!("starting anew: coarse alignment found no attitude"),
-        Self::RestartedGap { length } => say!("starting anew: {} s without data", figure(length, 3)),
+        Self::RestartedGap { length } => say!("starting anew: {} s without data", fixed_decimal(length, 3)),
         Self::RestartedBadSample => say!("starting anew: an impossible sample"),
         Self::RestartedDiverged => say!("starting anew: the fine filter diverged"),
-        Self::UnderWay { speed } => say!("starting anew once the base stands: it makes {} m/s", figure(speed, 1)),
+        Self::UnderWay { speed } => say!(
+            "starting anew once the base stands: it makes {} m/s",
+            fixed_decimal(speed, 1)
+        ),
         Self::Elsewhere { latitude_deg } => {
             say!(
                 "starting anew: by the receiver the unit is at latitude {} deg",
-                figure(latitude_deg, 1)
+                fixed_decimal(latitude_deg, 1)
             )
         }
     }
@@ -443,7 +446,7 @@ wording!(Event, |self, say| {
         Self::Encoder => say!("encoder answers"),
         Self::Inspected(found) => say!(
             "at start: force {} m/s2, rate {} deg/s, sd {} deg/s, gyro noise {} deg/sqrt(h)",
-            figure(found.gravity, 4),
+            fixed_decimal(found.gravity, 4),
             deg(found.rate, 4),
             deg(found.rate_sd, 4),
             deg_sqrt_h(found.noise)
@@ -457,17 +460,17 @@ wording!(Event, |self, say| {
         Self::Homed { angle } => say!("homed: rotor at {} deg", deg(*angle, 2)),
         Self::Alignment(told) => say!("{}", told),
         Self::GyrosCalibrated(found) => {
-            let [x, y] = found.misalignment_arcmin.map(|angle| figure(angle, 2).signed());
+            let [x, y] = found.misalignment_arcmin.map(|angle| fixed_decimal(angle, 2).signed());
             say!(
                 "gyros calibrated: z scale factor {} ppm, x and y take {}' and {}' of z, sd {} ppm",
-                figure(found.scale_factor_ppm, 0).signed(),
+                fixed_decimal(found.scale_factor_ppm, 0).signed(),
                 x,
                 y,
-                figure(found.column_sd_ppm, 0)
+                fixed_decimal(found.column_sd_ppm, 0)
             );
         }
         Self::GyroBiases(found) => {
-            let [x, y, z] = found.bias_deg_h.map(|bias| figure(bias, 2).signed());
+            let [x, y, z] = found.bias_deg_h.map(|bias| fixed_decimal(bias, 2).signed());
             say!(
                 "gyro biases {}: {} {} {} deg/h, sd {} deg/h",
                 if found.biases_used {
@@ -478,7 +481,7 @@ wording!(Event, |self, say| {
                 x,
                 y,
                 z,
-                figure(found.bias_sd_deg_h, 2)
+                fixed_decimal(found.bias_sd_deg_h, 2)
             );
         }
         Self::NotCalibrated(failure) => say!("gyros not calibrated: {}", failure),
@@ -486,7 +489,7 @@ wording!(Event, |self, say| {
         Self::Fault(fault) => say!("fault {}: {}", fault.name(), fault),
         Self::Retry { attempt } => say!("starting again, attempt {}", attempt),
         Self::Latched => say!("fault latched: reset it by command"),
-        Self::Slipped { late } => say!("a sample came {} ms late", figure(late * 1e3, 2)),
+        Self::Slipped { late } => say!("a sample came {} ms late", fixed_decimal(late * 1e3, 2)),
         Self::Lost { samples, tally } => say!("{} samples lost, {} in all", samples, tally.lost),
         Self::Repeated { tally } => say!("sample repeated, {} in all", tally.repeated),
         Self::Transfer(error) => say!("sample lost: {}", error),

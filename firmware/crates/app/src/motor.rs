@@ -72,7 +72,7 @@ where
             let _ = rotor.command(Command::Off);
             // Warnings that last are found again after each start.
             warned = 0;
-            let answer = shared.attend(Task::Motor, encoder.start()).await;
+            let answer = shared.with_check_in(Task::Motor, encoder.start()).await;
             shared.measure(|measured| measured.encoder = Some(answer.is_ok()));
             started = match answer {
                 Ok(()) => {
@@ -118,9 +118,9 @@ where
             // In a fault of its own the rotor is off already and refuses; that is as good.
             let _ = rotor.command(Command::Off);
         } else {
-            obey(shared, rotor);
+            execute(shared, rotor);
         }
-        let before = Doing::of(rotor.state());
+        let before = Activity::of(rotor.state());
         let outputs = rotor.tick(&inputs);
         let mut fault = None;
         match outputs.drive {
@@ -144,21 +144,21 @@ where
             angle,
             rate: outputs.rate,
         }));
-        match (before, Doing::of(rotor.state())) {
-            (Doing::Calibrating, Doing::Off) => {
+        match (before, Activity::of(rotor.state())) {
+            (Activity::Calibrating, Activity::Off) => {
                 if let Some(offset) = rotor.electrical_offset() {
                     shared.change(|settings| settings.encoder.electrical_offset = Some(offset));
                     shared.tell(Input::Calibrated { offset });
                 }
             }
-            (Doing::Homing, Doing::Off) => {
+            (Activity::Homing, Activity::Off) => {
                 if let Some(angle) = outputs.angle {
                     shared.measure(|measured| measured.homed = Some(angle));
                     shared.tell(Input::Homed { angle });
                 }
             }
-            (Doing::Fault, _) => {}
-            (_, Doing::Fault) => {
+            (Activity::Fault, _) => {}
+            (_, Activity::Fault) => {
                 if let State::Fault(found) = *rotor.state() {
                     fault = Some(Fault::from(found));
                 }
@@ -179,7 +179,7 @@ where
 }
 
 /// Hands the rotor what the supervisor asks of it.
-fn obey<M: RawMutex>(shared: &Shared<M>, rotor: &mut Rotor) {
+fn execute<M: RawMutex>(shared: &Shared<M>, rotor: &mut Rotor) {
     while let Ok(command) = shared.rotor.try_receive() {
         match rotor.command(command) {
             Ok(()) => {
@@ -199,7 +199,7 @@ fn obey<M: RawMutex>(shared: &Shared<M>, rotor: &mut Rotor) {
 
 /// The rotor's states without what is in them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Doing {
+enum Activity {
     Off,
     Calibrating,
     Homing,
@@ -207,7 +207,7 @@ enum Doing {
     Fault,
 }
 
-impl Doing {
+impl Activity {
     fn of(state: &State) -> Self {
         match state {
             State::Off => Self::Off,

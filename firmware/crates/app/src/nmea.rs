@@ -25,7 +25,7 @@ use frames::{Attitude, AttitudeSd, math};
 use heapless::Vec;
 
 use crate::command::ModeName;
-use crate::figure::{hex_digit, seconds};
+use crate::fixed_decimal::{hex_digit, seconds};
 use crate::utc::TimeOfDay;
 
 /// Longest sentence, `$` and CR LF included, bytes.
@@ -112,7 +112,7 @@ impl HeadingMode {
 /// V, and with V there is none.
 pub fn ths(talker: Talker, heading: Option<f32>, mode: HeadingMode) -> Sentence {
     let heading = heading.and_then(hundredths_of_turn);
-    let mut line = Line::of(talker, "THS");
+    let mut line = SentenceBuilder::of(talker, "THS");
     line.comma();
     match heading {
         Some(heading) if mode != HeadingMode::Invalid => {
@@ -127,7 +127,7 @@ pub fn ths(talker: Talker, heading: Option<f32>, mode: HeadingMode) -> Sentence 
 /// True heading, rad, any turn; no sentence for one that is not finite.
 pub fn hdt(talker: Talker, heading: f32) -> Option<Sentence> {
     let heading = hundredths_of_turn(heading)?;
-    let mut line = Line::of(talker, "HDT");
+    let mut line = SentenceBuilder::of(talker, "HDT");
     line.comma();
     line.fixed(heading, 2, false);
     line.letter(b'T');
@@ -138,7 +138,7 @@ pub fn hdt(talker: Talker, heading: f32) -> Option<Sentence> {
 pub fn rot(talker: Talker, rate: Option<f32>) -> Sentence {
     let tenths = rate.and_then(|rate| rounded(rate / DEG as f32 * 60.0 * 10.0));
     let tenths = tenths.map(|tenths| tenths.clamp(-999_999, 999_999));
-    let mut line = Line::of(talker, "ROT");
+    let mut line = SentenceBuilder::of(talker, "ROT");
     line.comma();
     if let Some(tenths) = tenths {
         line.fixed(tenths, 1, false);
@@ -158,7 +158,7 @@ pub fn pashr(time: Option<TimeOfDay>, attitude: Option<(&Attitude, &AttitudeSd)>
             [up(sd.roll)?, up(sd.pitch)?, up(sd.heading)?],
         ))
     });
-    let mut line = Line::start("$PASHR");
+    let mut line = SentenceBuilder::start("$PASHR");
     line.time(time);
     line.comma();
     if let Some((heading, angles, sds)) = numbers {
@@ -189,7 +189,7 @@ pub fn pashr(time: Option<TimeOfDay>, attitude: Option<(&Attitude, &AttitudeSd)>
 ///
 /// Ten-thousandths of a minute are 0.2 m; an `f32` of 180° is good to eight of them.
 pub fn gll(talker: Talker, time: Option<TimeOfDay>, latitude: f32, longitude: f32) -> Option<Sentence> {
-    let mut line = Line::of(talker, "GLL");
+    let mut line = SentenceBuilder::of(talker, "GLL");
     for (angle, most, letters) in [(latitude, 90, b"NS"), (longitude, 180, b"EW")] {
         let scaled = rounded(degrees(angle) * 600_000.0)?;
         let size = scaled.unsigned_abs().min(most * 600_000);
@@ -219,7 +219,7 @@ pub fn vtg(talker: Talker, east: f32, north: f32) -> Option<Sentence> {
     let speed = Some(math::hypot(east, north)).filter(|speed| speed.is_finite())?;
     let [knots, km_h] = [3600.0 / 1852.0, 3.6].map(|scale| rounded((speed * scale).min(9999.0) * 100.0));
     let course = hundredths_of_turn(math::atan2(east, north))?;
-    let mut line = Line::of(talker, "VTG");
+    let mut line = SentenceBuilder::of(talker, "VTG");
     line.comma();
     if speed >= 0.1 {
         line.fixed(course, 2, false);
@@ -255,7 +255,7 @@ pub struct Report {
 
 /// The unit's status.
 pub fn status(report: &Report) -> Sentence {
-    let mut line = Line::start("$PRNST");
+    let mut line = SentenceBuilder::start("$PRNST");
     line.comma();
     line.number(seconds(report.up_us), 0);
     line.push(b'.');
@@ -308,7 +308,7 @@ pub const ANSWER: usize = BODY - "$PRNSA,error,".len();
 
 /// An answer to a command. What is reserved in a field becomes a blank, what does not fit is left out.
 pub fn answer(ok: bool, text: &str) -> Sentence {
-    let mut line = Line::answer(ok);
+    let mut line = SentenceBuilder::answer(ok);
     line.words(text);
     line.end()
 }
@@ -354,9 +354,9 @@ fn up(sd: f32) -> Option<i32> {
 ///
 /// Not to be inlined: the sentences would be three times as large.
 #[derive(Debug)]
-pub(crate) struct Line(Vec<u8, LONGEST>);
+pub(crate) struct SentenceBuilder(Vec<u8, LONGEST>);
 
-impl Line {
+impl SentenceBuilder {
     /// The beginning of an answer; [`words`](Self::words) and numbers follow.
     pub(crate) fn answer(ok: bool) -> Self {
         let mut line = Self::start("$PRNSA");
@@ -621,7 +621,7 @@ mod tests {
     #[test]
     fn a_message_keeps_out_what_is_reserved() {
         let of = |kind, text: &str| {
-            let mut line = Line::message(Talker::Hc, kind);
+            let mut line = SentenceBuilder::message(Talker::Hc, kind);
             line.words(text);
             fields(&line.end())
         };

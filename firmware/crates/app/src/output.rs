@@ -53,7 +53,7 @@ use nav::navigator::Track;
 use crate::command::ModeName;
 use crate::log::CalibrationEnd;
 use crate::mode::Status;
-use crate::nmea::{self, HeadingMode, LONGEST, Line, Report, Sentence, Talker, TextKind};
+use crate::nmea::{self, HeadingMode, LONGEST, Report, Sentence, SentenceBuilder, Talker, TextKind};
 use crate::record;
 use crate::settings::OutputConfig;
 use crate::shared::{Navigation, Shared};
@@ -415,7 +415,7 @@ fn compose(
 fn calibrated(talker: Talker, end: &CalibrationEnd) -> Sentence {
     match end {
         Ok(found) => {
-            let mut line = Line::message(talker, TextKind::Notice);
+            let mut line = SentenceBuilder::message(talker, TextKind::Notice);
             line.words("gyros calibrated: z scale ");
             line.decimal(found.scale_factor_ppm, 0);
             line.words(" sd ");
@@ -425,7 +425,7 @@ fn calibrated(talker: Talker, end: &CalibrationEnd) -> Sentence {
             line.end()
         }
         Err(failure) => {
-            let mut line = Line::message(talker, TextKind::Warning);
+            let mut line = SentenceBuilder::message(talker, TextKind::Warning);
             line.words("gyros not calibrated: ");
             line.words(failure.brief());
             line.end()

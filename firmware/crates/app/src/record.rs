@@ -35,7 +35,7 @@
 //! | together | | | 8.5 kB, 74 % of 11.52 |
 //! | sentences | | | 1.3 kB, 11 % |
 //!
-//! Pure: frames come out as bytes, the caller writes them whole. [`Tap`](crate::tap::Tap) is where the alignment hands its samples over.
+//! Pure: frames come out as bytes, the caller writes them whole. [`SampleRecorder`](crate::sample_recorder::SampleRecorder) is where the alignment hands its samples over.
 
 use drivers::crc::crc32;
 use drivers::{Identity, Scale};

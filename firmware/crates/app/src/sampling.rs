@@ -250,10 +250,10 @@ pub async fn run<M: RawMutex, I: Imu, E: EdgeCapture>(
     config: SamplingConfig,
 ) -> ! {
     let mut sampler = Sampler::new(shared, config);
-    shared.attend(Task::Sampling, shared.imu_start.wait()).await;
+    shared.with_check_in(Task::Sampling, shared.imu_start.wait()).await;
     loop {
         let started = shared
-            .attend(
+            .with_check_in(
                 Task::Sampling,
                 with_timeout(START_TIMEOUT, start(&mut imu, &imu_config)),
             )
@@ -262,7 +262,7 @@ pub async fn run<M: RawMutex, I: Imu, E: EdgeCapture>(
         let started = started.unwrap_or(Err(Error::Silent { level: 0 }));
         shared.tell(Input::Imu(started));
         let Ok(identity) = started else {
-            shared.attend(Task::Sampling, shared.imu_start.wait()).await;
+            shared.with_check_in(Task::Sampling, shared.imu_start.wait()).await;
             continue;
         };
         shared.imu_is(ImuFacts {

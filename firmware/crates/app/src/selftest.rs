@@ -19,7 +19,7 @@ use nav::earth::OMEGA_IE;
 use nav::increment::Sample;
 use nav::noise::{ImuNoise, WhiteNoise};
 
-use crate::figure::{deg, deg_h, figure};
+use crate::fixed_decimal::{deg, deg_h, fixed_decimal};
 
 /// What the inspection of the first samples is judged by.
 ///
@@ -133,8 +133,8 @@ wording!(Failure, |self, say| {
         Self::Encoder(error) => say!("encoder: {}", error),
         Self::Gravity { found, expected } => say!(
             "specific force is {} m/s2, gravity {}: check the accelerometers' range",
-            figure(found, 3),
-            figure(expected, 3)
+            fixed_decimal(found, 3),
+            fixed_decimal(expected, 3)
         ),
         Self::EarthRate { found, most } => say!(
             "rate at rest is {} deg/h, at most {} can be: check the gyros",

@@ -464,7 +464,7 @@ impl<M: RawMutex> Shared<M> {
     }
 
     /// Awaits something that takes long, checking in meanwhile.
-    pub(crate) async fn attend<F: Future>(&self, task: Task, work: F) -> F::Output {
+    pub(crate) async fn with_check_in<F: Future>(&self, task: Task, work: F) -> F::Output {
         let mut work = core::pin::pin!(work);
         loop {
             self.check_in(task);

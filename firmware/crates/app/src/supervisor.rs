@@ -4,7 +4,7 @@ use embassy_futures::select::{Either3, select3};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Duration, Instant, Ticker};
 
-use crate::blackbox::{BlackBox, Doing, Memory};
+use crate::blackbox::{BlackBox, Context, Memory};
 use crate::command::ModeName;
 use crate::fault::{Fault, Task};
 use crate::hal::{Cutoff, Watchdog};
@@ -79,8 +79,8 @@ pub async fn run<M: RawMutex, C: Cutoff, W: Watchdog, B: Memory>(
         let (next, actions) = state.step(&input, now_us);
         for action in actions {
             if let Action::Tell(Event::Fault(fault)) = &action {
-                let doing = doing(shared, blackbox.run_s(now_us), state.mode.name());
-                blackbox.fault(fault, doing);
+                let context = context(shared, blackbox.run_s(now_us), state.mode.name());
+                blackbox.fault(fault, context);
             }
             carry_out(shared, &mut cutoff, action);
         }
@@ -123,7 +123,7 @@ fn keep<M: RawMutex, B: Memory>(
     now_us: u64,
 ) {
     if blackbox.is_due(now_us, now.mode.name()) {
-        blackbox.live(doing(shared, blackbox.run_s(now_us), now.mode.name()));
+        blackbox.live(context(shared, blackbox.run_s(now_us), now.mode.name()));
     }
     if let Some(latched) = now.latched() {
         blackbox.hold(latched);
@@ -137,10 +137,10 @@ fn keep<M: RawMutex, B: Memory>(
     }
 }
 
-fn doing<M: RawMutex>(shared: &Shared<M>, t_s: u32, mode: ModeName) -> Doing {
+fn context<M: RawMutex>(shared: &Shared<M>, t_s: u32, mode: ModeName) -> Context {
     let has_heading = matches!(mode, ModeName::Fine | ModeName::Aligned | ModeName::Navigating);
     let navigation = shared.navigation.try_get().filter(|_| has_heading);
-    Doing {
+    Context {
         mode: Some(mode),
         t_s,
         heading_sd: navigation.and_then(|now| Some(now.estimate?.sd.heading)),

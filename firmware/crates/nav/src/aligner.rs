@@ -31,16 +31,16 @@ use frames::{Attitude, AttitudeSd, Body, Nav, Real, Rot, RotIntegral, Sensor, Ve
 use heapless::Deque;
 
 use crate::{
+    adaptive_noise::AdaptiveNoise,
     coarse::{Coarse, CoarseError, CoarsePoint, CoarseSolution},
     deviation::Deviation,
     earth::{Earth, EarthError},
     fine::{CERTAIN, FilterConfig, FilterConfigError, FineFilter, Innovation},
-    increment::{Compensator, Decimator, Increment, Sample},
+    increment::{ConingScullingCorrector, Decimator, Increment, Sample},
     model::{ROBUST, WE},
     noise::{ImuNoise, WalkMeter},
     rotor::RotorConfig,
     strapdown::{Corrections, Strapdown},
-    trust::Trust,
 };
 
 /// Queue length that holds the default configuration, 54.3 s at 20 Hz, and what comes in while that is
@@ -287,7 +287,7 @@ pub struct Estimate<T: Real = f32> {
 
 /// What the alignment knows at its end, for [`Navigator`](crate::navigator::Navigator) to go on from.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct HandOver<T: Real = f32> {
+pub struct AlignmentResult<T: Real = f32> {
     /// Attitude, its 1σ, the 1σ of the biases.
     pub estimate: Estimate<T>,
     /// Velocity, m/s.
@@ -325,7 +325,7 @@ impl<T: Real> Consistency<T> {
         self.last = Some(innovation);
         // What was not taken says nothing of how well the rest fits.
         if !innovation.refused {
-            let ratio = innovation.normalised_squared * T::lit(1.0 / 3.0);
+            let ratio = innovation.nis * T::lit(1.0 / 3.0);
             self.ratio += (ratio - self.ratio) * T::lit(1.0 / Self::MEMORY);
         }
     }
@@ -531,7 +531,7 @@ fn bridging_error<T: Real>(
 pub struct Aligner<T: Real = f32, const B: usize = ROBUST, const N: usize = QUEUE> {
     config: AlignerConfig<T, B>,
     earth: Earth<T>,
-    compensator: Compensator<T>,
+    corrector: ConingScullingCorrector<T>,
     decimator: Decimator<T>,
     last: Option<Sample<T>>,
     before_last: Option<Sample<T>>,
@@ -603,7 +603,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         Self {
             config,
             earth,
-            compensator: Compensator::new(),
+            corrector: ConingScullingCorrector::new(),
             decimator: Decimator::new(config.decimate_to),
             last: None,
             before_last: None,
@@ -633,7 +633,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             *elapsed += sample.dt;
             let settled = *elapsed >= self.config.settle;
             // The last sample of settling is the past that the first increment's coning terms need.
-            self.compensator.increment(sample);
+            self.corrector.increment(sample);
             if settled {
                 self.stage = Stage::Coarse {
                     coarse: Coarse::new(),
@@ -647,7 +647,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
         if let Stage::Coarse { walk, .. } = &mut self.stage {
             walk.samples.push(sample.dtheta_s, sample.dt, sample.gap > T::zero());
         }
-        let increment = self.compensator.increment(sample);
+        let increment = self.corrector.increment(sample);
         let joined = self.decimator.push(&increment);
         if let Some(joined) = joined {
             if let Err(reason) = self.take(joined, alpha) {
@@ -656,7 +656,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             let told = self.collect();
             event = told.or(event);
         }
-        self.work_off(sample.dt, joined.map(|_| alpha)).or(event)
+        self.process_queue(sample.dt, joined.map(|_| alpha)).or(event)
     }
 
     /// Bridges the gap before `sample` while the fine filter runs.
@@ -683,9 +683,9 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                     )
                 };
                 let (phi_sd, dv_sd) = (missed(|s| s.dtheta_s / s.dt), missed(|s| s.dv_s / s.dt));
-                filter.doubt(phi_sd, dv_sd);
+                filter.inflate_covariance(phi_sd, dv_sd);
                 if let Some(rival) = rival {
-                    rival.filter.doubt(phi_sd, dv_sd);
+                    rival.filter.inflate_covariance(phi_sd, dv_sd);
                 }
             }
             // A missing sample or two is smoothed over. More would bend the attitude that all rests on, and what is queued
@@ -694,7 +694,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             _ => {}
         }
         let bridge = before.bridge(sample, length);
-        let increment = self.compensator.increment(&bridge);
+        let increment = self.corrector.increment(&bridge);
         if let Some(joined) = self.decimator.push(&increment) {
             // To the turn of the housing in one sample.
             self.take(joined, self.alpha - sample.dtheta_s.z())?;
@@ -775,7 +775,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
     }
 
     /// Sets the fine filter to the start of the queue, for a pass over it.
-    fn start_over(&mut self, mut pass: Pass<T>, trust: Option<Trust<T>>) -> Option<()> {
+    fn start_over(&mut self, mut pass: Pass<T>, adaptive_noise: Option<AdaptiveNoise<T>>) -> Option<()> {
         let zero = T::zero();
         let mut config = self.config.filter;
         if B > WE {
@@ -783,10 +783,10 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
             config.noise.angle_random_walk = pass.angle_random_walk;
         }
         // The figures were checked when the aligner was made.
-        let filter = FineFilter::new(config, self.earth, pass.start, trust)
+        let filter = FineFilter::new(config, self.earth, pass.start, adaptive_noise)
             .ok()?
             .about_gyro_bias(Vec3::new(zero, zero, pass.gyro_bias_z));
-        pass.level_var = filter.trust().level_var();
+        pass.level_var = filter.adaptive_noise().level_var();
         let replay = Replay::Forward { pass, next: 0 };
         self.stage = Stage::Fine {
             filter,
@@ -800,7 +800,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
 
     /// Lets the fine filter have its share of the queue, after a sample of `dt` seconds. `alpha` is the rotor's angle now,
     /// where the last increment in the queue ends now.
-    fn work_off(&mut self, dt: T, alpha: Option<T>) -> Option<Event<T>> {
+    fn process_queue(&mut self, dt: T, alpha: Option<T>) -> Option<Event<T>> {
         let Stage::Fine {
             filter,
             rival,
@@ -874,8 +874,8 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                 } else {
                     (moved.norm(), SETTLED)
                 };
-                let trust = filter.trust().as_prior();
-                let (level_var, four) = (trust.level_var(), T::lit(4.0));
+                let adaptive_noise = filter.adaptive_noise().as_prior();
+                let (level_var, four) = (adaptive_noise.level_var(), T::lit(4.0));
                 let settled =
                     moved <= T::lit(limit) && level_var <= pass.level_var * four && pass.level_var <= level_var * four;
                 // Another pass there and back lets these increments in, a fifth more for shares that were rounded off.
@@ -888,7 +888,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                         start: back.normalized(),
                         ..*pass
                     };
-                    self.start_over(next, Some(trust))?;
+                    self.start_over(next, Some(adaptive_noise))?;
                     return None;
                 }
                 for _ in 0..pass.length {
@@ -947,7 +947,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
 
     /// Forgets all samples.
     pub fn start_anew(&mut self) {
-        self.compensator = Compensator::new();
+        self.corrector = ConingScullingCorrector::new();
         self.decimator = Decimator::new(self.config.decimate_to);
         self.last = None;
         self.before_last = None;
@@ -1067,13 +1067,13 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
     }
 
     /// What navigation goes on from; `None` before the fine filter is at the present.
-    pub fn hand_over(&self) -> Option<HandOver<T>> {
+    pub fn alignment_result(&self) -> Option<AlignmentResult<T>> {
         let estimate = self.estimate()?;
         let Stage::Fine { filter, .. } = &self.stage else {
             return None;
         };
         let solution = filter.solution();
-        Some(HandOver {
+        Some(AlignmentResult {
             estimate,
             v_n: solution.v_n,
             corrections: solution.corrections,
@@ -1154,8 +1154,8 @@ pub trait Align {
     fn estimate(&self) -> Option<Estimate>;
     /// [`Aligner::not_ready`].
     fn not_ready(&self) -> Option<NotReady>;
-    /// [`Aligner::hand_over`].
-    fn hand_over(&self) -> Option<HandOver>;
+    /// [`Aligner::alignment_result`].
+    fn alignment_result(&self) -> Option<AlignmentResult>;
     /// [`Aligner::start_anew`].
     fn start_anew(&mut self);
     /// [`Aligner::deviation`].
@@ -1190,8 +1190,8 @@ impl<const B: usize, const N: usize> Align for Aligner<f32, B, N> {
         self.not_ready()
     }
 
-    fn hand_over(&self) -> Option<HandOver> {
-        self.hand_over()
+    fn alignment_result(&self) -> Option<AlignmentResult> {
+        self.alignment_result()
     }
 
     fn start_anew(&mut self) {
@@ -1244,9 +1244,9 @@ mod tests {
 
     #[test]
     fn a_refused_measurement_does_not_look_like_a_good_one() {
-        let innovation = |normalised_squared, refused| Innovation {
-            excess: Vec3::zero(),
-            normalised_squared,
+        let innovation = |nis, refused| Innovation {
+            residual: Vec3::zero(),
+            nis,
             fading: 1.0,
             refused,
             surprisal: 0.0,

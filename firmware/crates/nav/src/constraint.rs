@@ -127,30 +127,30 @@ pub(crate) struct Turn<T: Real> {
     pub(crate) rotor: T,
 }
 
-/// One turn about the vertical beside what is expected of it.
+/// Innovation of one turn about the vertical, and its variance by parts.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Excess<T: Real> {
+pub(crate) struct ScalarInnovation<T: Real> {
     /// Measured less expected, rad.
-    pub(crate) excess: T,
+    pub(crate) residual: T,
     /// Variance of what was expected, rad².
     pub(crate) predicted_var: T,
     /// Of the gyros' noise, rad².
     pub(crate) walk_var: T,
 }
 
-/// Follows the base from measurement to measurement, and says whether it is one to be measured by.
+/// Stationarity detector: follows the base from measurement to measurement, and says whether the constraint may be applied.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Watch<T: Real> {
+pub(crate) struct StationarityDetector<T: Real> {
     /// Angle of the rotor at the end of the increment that is taken next, if it is known, rad.
     pub(crate) alpha: Option<T>,
     before: Option<Mark<T>>,
     /// Measurements in a row that agreed, [`SETTLE`] at most.
     quiet: u8,
-    /// Running mean of the excess, rad, by the state as it is now.
+    /// Running mean of the innovation, rad, by the state as it is now.
     mean: T,
 }
 
-impl<T: Real> Watch<T> {
+impl<T: Real> StationarityDetector<T> {
     pub(crate) fn new() -> Self {
         Self {
             alpha: None,
@@ -170,7 +170,7 @@ impl<T: Real> Watch<T> {
         self.quiet >= SETTLE
     }
 
-    /// What the base has turned since [`Watch::mark`], if the rotor's angle is known at both ends.
+    /// What the base has turned since [`StationarityDetector::mark`], if the rotor's angle is known at both ends.
     pub(crate) fn turn(&self, c_ns: Rot<Nav, Sensor, T>) -> Option<Turn<T>> {
         let (before, now) = (self.before?, Mark::new(c_ns, self.alpha?));
         Some(Turn {
@@ -185,7 +185,13 @@ impl<T: Real> Watch<T> {
     }
 
     /// The noise variance to take a turn of `dt` seconds with, rad², if it is to be taken.
-    pub(crate) fn judge(&mut self, config: &ConstraintConfig<T>, turn: &Turn<T>, z: &Excess<T>, dt: T) -> Option<T> {
+    pub(crate) fn judge(
+        &mut self,
+        config: &ConstraintConfig<T>,
+        turn: &Turn<T>,
+        z: &ScalarInnovation<T>,
+        dt: T,
+    ) -> Option<T> {
         let zero = T::zero();
         let gate2 = config.gate * config.gate;
         let gain = T::lit(MEAN_GAIN);
@@ -193,9 +199,9 @@ impl<T: Real> Watch<T> {
         let r = z.walk_var + angle_var * T::lit(2.0);
         // Comparisons with NaN are false.
         let tilt = math::hypot(turn.base.x(), turn.base.y());
-        let still = tilt < config.still_rate * dt && z.excess * z.excess < gate2 * (z.predicted_var + r);
+        let still = tilt < config.still_rate * dt && z.residual * z.residual < gate2 * (z.predicted_var + r);
         self.mean = if still {
-            self.mean + (z.excess - self.mean) * gain
+            self.mean + (z.residual - self.mean) * gain
         } else {
             zero
         };
@@ -211,7 +217,7 @@ impl<T: Real> Watch<T> {
         self.holds().then_some(r)
     }
 
-    /// The state has taken `taken` of the excess for itself, rad.
+    /// The state's correction has accounted for `taken` of the innovation, rad.
     pub(crate) fn took(&mut self, taken: T) {
         self.mean -= taken;
     }

@@ -25,7 +25,7 @@ pub const LARGEST_CUT: f64 = 1000.0;
 
 /// One block of Φ − I: what block `col` of the state at the start adds to block `row` at the end.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Coupling<T: Real> {
+pub struct TransitionBlock<T: Real> {
     /// The block that is moved.
     pub row: usize,
     /// The block that moves it.
@@ -99,25 +99,25 @@ impl<T: Real, const B: usize> Covariance<T, B> {
     /// Couplings may chain (a block that is moved may move another): all of them act on the state at
     /// the start. Put those first that read what others move, and a block's coupling with itself before its
     /// others: then it is done in place, in half the time. In any other order, or with a cycle, it takes a copy.
-    pub fn propagate(&mut self, couplings: &[Coupling<T>]) {
+    pub fn propagate(&mut self, transition: &[TransitionBlock<T>]) {
         let mut moved = [false; B];
         let mut in_place = true;
-        for &Coupling { row, col, .. } in couplings {
+        for &TransitionBlock { row, col, .. } in transition {
             in_place &= !moved[col];
             moved[row] = true;
         }
         if in_place {
             // Φ is the product of its parts then.
-            for coupling in couplings {
-                self.move_block(coupling);
+            for moved_block in transition {
+                self.move_block(moved_block);
             }
         } else {
-            self.propagate_copy(couplings, &moved);
+            self.propagate_copy(transition, &moved);
         }
     }
 
     /// E P Eᵀ with `E = I + coupling`.
-    fn move_block(&mut self, &Coupling { row, col, ref block }: &Coupling<T>) {
+    fn move_block(&mut self, &TransitionBlock { row, col, ref block }: &TransitionBlock<T>) {
         let a = |r: usize, c: usize| block[(r, c)];
         let at = |r: usize, c: usize| block[(c, r)];
         // The diagonal takes E from both sides: a P_cr with P as it was, and later P_rc aᵀ with P_rc moved.
@@ -149,14 +149,14 @@ impl<T: Real, const B: usize> Covariance<T, B> {
     }
 
     /// M = Φ P by rows, then P = M Φᵀ.
-    fn propagate_copy(&mut self, couplings: &[Coupling<T>], moved: &[bool; B]) {
+    fn propagate_copy(&mut self, transition: &[TransitionBlock<T>], moved: &[bool; B]) {
         let mut m = [[Matrix3::zeros(); B]; B];
         for (i, row) in m.iter_mut().enumerate().filter(|(i, _)| moved[*i]) {
             for (j, block) in row.iter_mut().enumerate() {
                 *block = self.block(i, j);
             }
         }
-        for Coupling { row, col, block } in couplings {
+        for TransitionBlock { row, col, block } in transition {
             for (j, sum) in m[*row].iter_mut().enumerate() {
                 *sum += block * self.block(*col, j);
             }
@@ -165,7 +165,9 @@ impl<T: Real, const B: usize> Covariance<T, B> {
             for j in i..B {
                 if moved[i] {
                     self.upper[i][j] = m[i][j];
-                    for Coupling { col, block, .. } in couplings.iter().filter(|coupling| coupling.row == j) {
+                    for TransitionBlock { col, block, .. } in
+                        transition.iter().filter(|moved_block| moved_block.row == j)
+                    {
                         self.upper[i][j] += m[i][*col] * block.transpose();
                     }
                 } else if moved[j] {
@@ -358,8 +360,8 @@ mod tests {
         math::sin_cos(x).0
     }
 
-    fn couplings(seed: u32) -> [Coupling<f64>; 5] {
-        [(0, 0), (0, 2), (1, 0), (1, 2), (1, 3)].map(|(row, col)| Coupling {
+    fn transition(seed: u32) -> [TransitionBlock<f64>; 5] {
+        [(0, 0), (0, 2), (1, 0), (1, 2), (1, 3)].map(|(row, col)| TransitionBlock {
             row,
             col,
             block: block(seed + 10 * row as u32 + col as u32),
@@ -373,7 +375,7 @@ mod tests {
             Vector3::new(1.0, 1.5, 0.5),
             Vector3::new(2.0, 0.2, 1.0),
         ]);
-        p.propagate(&couplings(seed));
+        p.propagate(&transition(seed));
         p
     }
 
@@ -381,25 +383,25 @@ mod tests {
         #[test]
         fn propagation_is_the_dense_product(seed in 0..1000_u32) {
             let before = dense(&some_covariance(seed));
-            let couplings = couplings(seed + 77);
-            let [own, phi_bg, dv_phi, dv_bg, dv_ba] = couplings;
-            let back = Coupling { row: 3, col: 1, block: block(seed + 5) };
-            let orders: [&[Coupling<f64>]; 5] = [
+            let transition = transition(seed + 77);
+            let [own, phi_bg, dv_phi, dv_bg, dv_ba] = transition;
+            let back = TransitionBlock { row: 3, col: 1, block: block(seed + 5) };
+            let orders: [&[TransitionBlock<f64>]; 5] = [
                 // In place, through a copy, with a cycle, with what is moved twice, and nothing at all.
                 &[dv_phi, dv_bg, dv_ba, own, phi_bg],
-                &couplings,
+                &transition,
                 &[dv_ba, back, own],
                 &[own, own],
                 &[],
             ];
-            for couplings in orders {
+            for transition in orders {
                 let mut phi = Dense::identity();
-                for c in couplings {
+                for c in transition {
                     let mut view = phi.fixed_view_mut::<3, 3>(3 * c.row, 3 * c.col);
                     view += c.block;
                 }
                 let mut p = some_covariance(seed);
-                p.propagate(couplings);
+                p.propagate(transition);
                 prop_assert!((dense(&p) - phi * before * phi.transpose()).norm() < 1e-12);
                 prop_assert_eq!(dense(&p), dense(&p).transpose());
             }

@@ -7,7 +7,7 @@
 //!
 //! ```text
 //! B ≤ 4    z = δV + noise     [Xing18]: the base has no velocity, to `velocity_sd`
-//! B > 4    z = δp + noise     the base stays about where it is; how closely is found by [`trust`](crate::trust)
+//! B > 4    z = δp + noise     the base stays about where it is; how closely is found by [`adaptive_noise`](crate::adaptive_noise)
 //! ```
 //!
 //! The integrals of the model are summed with the increments, so that one prediction and one measurement a second
@@ -42,8 +42,9 @@ use frames::{Body, Nav, Real, Rot, Sensor, Vec3, VecSum, math, units};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::{
-    constraint::{self, ConstraintConfig, Excess, Row, Watch},
-    covariance::{Coupling, Covariance},
+    adaptive_noise::{AdaptiveNoise, AdaptiveNoiseConfig},
+    constraint::{self, ConstraintConfig, Row, ScalarInnovation, StationarityDetector},
+    covariance::{Covariance, TransitionBlock},
     deviation::Deviation,
     earth::Earth,
     fading::{Fading, StrongTracking},
@@ -52,7 +53,6 @@ use crate::{
     noise::ImuNoise,
     north::{Direction, North},
     strapdown::{Corrections, Strapdown},
-    trust::{Trust, TrustConfig},
 };
 
 /// How the covariance is predicted.
@@ -84,7 +84,7 @@ impl<T: Real, const B: usize> Method<T, B> {
 /// |---|---|---|---|
 /// | `noise` | SI | see [`ImuNoise`] | the data sheet's |
 /// | `velocity_sd` | m/s | refused | 0.1 mm/s on a base that only swings |
-/// | `trust` | – | see [`TrustConfig`] | its default |
+/// | `adaptive_noise` | – | see [`AdaptiveNoiseConfig`] | its default |
 /// | `measure_every` | s | every increment is a measurement | 1 s |
 /// | `tilt_sd` | rad | refused | 0.2° |
 /// | `heading_sd` | rad | refused | 90° |
@@ -100,7 +100,7 @@ pub struct FilterConfig<T: Real = f32, const B: usize = ROBUST> {
     /// is `velocity_sd² · measure_every`: 0.1 mm/s each second says what 1 mm/s at 100 Hz does.
     pub velocity_sd: T,
     /// How far the base may be from where it is in the mean, where displacement is measured.
-    pub trust: TrustConfig<T>,
+    pub adaptive_noise: AdaptiveNoiseConfig<T>,
     /// Time between measurements, s.
     pub measure_every: T,
     /// 1σ of pitch and roll at the start, rad.
@@ -124,7 +124,7 @@ impl<T: Real, const B: usize> Default for FilterConfig<T, B> {
         Self {
             noise: ImuNoise::default(),
             velocity_sd: T::lit(1e-4),
-            trust: TrustConfig::default(),
+            adaptive_noise: AdaptiveNoiseConfig::default(),
             measure_every: T::one(),
             tilt_sd: T::lit(0.2 * DEG),
             heading_sd: T::lit(90.0 * DEG),
@@ -175,8 +175,8 @@ pub enum FilterConfigError {
     Noise,
     /// `velocity_sd` must be positive.
     VelocitySd,
-    /// A figure of `trust` is out of range.
-    Trust,
+    /// A figure of `adaptive_noise` is out of range.
+    AdaptiveNoise,
     /// `measure_every` must not be negative.
     MeasureEvery,
     /// `tilt_sd` and `heading_sd` must be positive, `latitude_sd` not negative.
@@ -192,7 +192,7 @@ impl core::fmt::Display for FilterConfigError {
         f.write_str(match self {
             Self::Noise => "IMU noise figures must be finite and not negative, and the angle random walk positive",
             Self::VelocitySd => "velocity_sd must be positive",
-            Self::Trust => "trust needs positive spreads and gate, 0 <= memory < 1, correlation >= 1",
+            Self::AdaptiveNoise => "adaptive noise needs positive spreads and gate, 0 <= memory < 1, correlation >= 1",
             Self::MeasureEvery => "measure_every must not be negative",
             Self::StartSd => "tilt_sd and heading_sd must be positive, latitude_sd not negative",
             Self::Deviation => "a deviation must be finite, and its 1 sigma positive",
@@ -218,8 +218,8 @@ impl<T: Real, const B: usize> FilterConfig<T, B> {
         if !positive(self.velocity_sd) {
             return Err(FilterConfigError::VelocitySd);
         }
-        if !self.trust.is_valid() {
-            return Err(FilterConfigError::Trust);
+        if !self.adaptive_noise.is_valid() {
+            return Err(FilterConfigError::AdaptiveNoise);
         }
         if !(self.measure_every.finite() && self.measure_every >= T::zero()) {
             return Err(FilterConfigError::MeasureEvery);
@@ -262,13 +262,13 @@ fn negligible_rate<T: Real>(noise: &ImuNoise<T>) -> T {
     noise.angle_random_walk * T::lit(1e-3)
 }
 
-/// One measurement of the base standing still, after the fact.
+/// Innovation of one measurement that the base stands still.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Innovation<T: Real = f32> {
-    /// What was measured beyond what was expected: velocity, m/s, or displacement, m.
-    pub excess: Vec3<Nav, T>,
-    /// Sum over the three components of innovation²/variance: 3 in the mean where the model holds.
-    pub normalised_squared: T,
+    /// Measured less predicted: velocity, m/s, or displacement, m.
+    pub residual: Vec3<Nav, T>,
+    /// Normalised innovation squared, over the three components: 3 in the mean where the model holds.
+    pub nis: T,
     /// Largest fading factor applied, one for the Kalman filter.
     pub fading: T,
     /// It was too far off to be one, and was not taken.
@@ -278,9 +278,9 @@ pub struct Innovation<T: Real = f32> {
 }
 
 /// Φ x.
-fn propagated<T: Real, const B: usize>(x: &[Vector3<T>; B], couplings: &[Coupling<T>]) -> [Vector3<T>; B] {
+fn propagated<T: Real, const B: usize>(x: &[Vector3<T>; B], transition: &[TransitionBlock<T>]) -> [Vector3<T>; B] {
     let mut moved = *x;
-    for Coupling { row, col, block } in couplings {
+    for TransitionBlock { row, col, block } in transition {
         if let (Some(sum), Some(x)) = (moved.get_mut(*row), x.get(*col)) {
             *sum += block * x;
         }
@@ -314,11 +314,11 @@ pub struct FineFilter<T: Real = f32, const B: usize = ROBUST> {
     axis_by_bias: T,
     interval: Interval<T, B>,
     fading: Fading<T>,
-    trust: Trust<T>,
+    adaptive_noise: AdaptiveNoise<T>,
     /// Measurements refused since the start.
     refused: u32,
     /// Whether the base is one to be measured by, where it was said to be.
-    watch: Watch<T>,
+    stationarity: StationarityDetector<T>,
     /// ∫ of the rotor's axis in n, s, and its time, s.
     axis_n: VecSum<Nav, T>,
     /// ∫ of the specific force in b, m/s.
@@ -347,7 +347,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         config: FilterConfig<T, B>,
         earth: Earth<T>,
         c_ns: Rot<Nav, Sensor, T>,
-        trust: Option<Trust<T>>,
+        adaptive_noise: Option<AdaptiveNoise<T>>,
     ) -> Result<Self, FilterConfigError> {
         const { assert!(B > BA && B <= ROBUST, "the model has 4 to 15 blocks") }
         config.validate()?;
@@ -376,7 +376,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         let axis_by_bias = -misaligned * g / level;
         prior[BA] = Vector3::new(level, level, accel_bias + square(noise.accel_scale_factor_sd * g));
         prior[DV] = Vector3::repeat(square(if B > DP {
-            config.trust.prior_velocity_sd
+            config.adaptive_noise.prior_velocity_sd
         } else {
             config.velocity_sd
         }));
@@ -389,7 +389,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         let column = |axis: usize, scale: T, misalignment: T| {
             Vector3::from_fn(|row, _| if row == axis { scale } else { misalignment })
         };
-        set(DP, Vector3::repeat(square(config.trust.prior_sd)));
+        set(DP, Vector3::repeat(square(config.adaptive_noise.prior_sd)));
         set(GM, Vector3::repeat(least(noise.gyro_instability_sd, little)));
         let scale = least(noise.gyro_scale_factor_sd, little);
         let misalignment = least(noise.gyro_misalignment_sd, little);
@@ -439,9 +439,9 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             axis_by_bias,
             interval: Interval::new(),
             fading: Fading::new(),
-            trust: trust.unwrap_or(Trust::new(config.trust)),
+            adaptive_noise: adaptive_noise.unwrap_or(AdaptiveNoise::new(config.adaptive_noise)),
             refused: 0,
-            watch: Watch::new(),
+            stationarity: StationarityDetector::new(),
             axis_n: VecSum::new(Vec3::zero()),
             force_b: VecSum::new(Vec3::zero()),
             elapsed: T::zero(),
@@ -475,7 +475,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         refused: bool,
     ) -> Option<Innovation<T>> {
         self.integrate(increment, alpha);
-        let given = (&leader.trust, refused);
+        let given = (&leader.adaptive_noise, refused);
         self.is_due(increment).then(|| self.measure(Some(given)))
     }
 
@@ -524,13 +524,13 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
     ///
     /// The [encoder constraint](constraint) needs it at each measurement, and nothing else does.
     pub fn rotor_at(&mut self, alpha: Option<T>) {
-        self.watch.alpha = alpha;
+        self.stationarity.alpha = alpha;
     }
 
     /// Says that the next increment does not tell all: 1σ of the turn (rad) and of the velocity (m/s)
     /// that it may have missed on each axis.
-    pub fn doubt(&mut self, phi_sd: T, dv_sd: T) {
-        self.interval.doubt(phi_sd, dv_sd);
+    pub fn inflate_covariance(&mut self, phi_sd: T, dv_sd: T) {
+        self.interval.inflate_covariance(phi_sd, dv_sd);
     }
 
     /// Velocity or displacement of the strapdown: what is measured.
@@ -545,7 +545,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
     /// Noise variance of one component of the measurement.
     fn measurement_var(&self, axis: usize) -> T {
         if B > DP {
-            self.trust.variance(axis)
+            self.adaptive_noise.variance(axis)
         } else {
             self.config.velocity_sd * self.config.velocity_sd
         }
@@ -553,23 +553,23 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
 
     /// Predicts P over the interval, then measures ((21)–(25), (26)), with the base's displacement, and whether to
     /// refuse, as found or as `given`.
-    fn measure(&mut self, given: Option<(&Trust<T>, bool)>) -> Innovation<T> {
+    fn measure(&mut self, given: Option<(&AdaptiveNoise<T>, bool)>) -> Innovation<T> {
         let measured = Self::MEASURED;
         let noise = self.config.noise;
-        let couplings = self.interval.couplings(&noise, &self.earth);
-        let mut error = propagated(&self.error, &couplings);
+        let transition = self.interval.transition(&noise, &self.earth);
+        let mut error = propagated(&self.error, &transition);
         let observed = self.observed();
-        let excess = observed - error[measured];
+        let residual = observed - error[measured];
 
         let mut fading = T::one();
         if let Method::StrongTracking(policy) = &self.config.method {
             let mut predicted = self.covariance;
-            predicted.propagate(&couplings);
+            predicted.propagate(&transition);
             let m = predicted.block(measured, measured);
             self.interval.add_noise(&mut predicted, &noise, &self.earth);
             let q = predicted.block(measured, measured) - m;
             let r = self.measurement_var(0);
-            let mut factors = self.fading.factors(policy, &excess, &m, &q, r);
+            let mut factors = self.fading.factors(policy, &residual, &m, &q, r);
             for (k, block) in factors.iter_mut().enumerate() {
                 let room = self.faded[k].component_div(&self.covariance.variances(k));
                 *block = block.zip_map(&room, |f, room| f.min(room).max(T::one()));
@@ -579,7 +579,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
                 self.covariance.fade(&factors);
             }
         }
-        self.covariance.propagate(&couplings);
+        self.covariance.propagate(&transition);
         self.interval.add_noise(&mut self.covariance, &noise, &self.earth);
         if B > GM {
             let decay = noise.gyro_instability_decay(self.interval.dt());
@@ -589,30 +589,30 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
 
         let predicted = self.covariance.variances(measured);
         let refused = match given {
-            Some((trust, refused)) => {
-                self.trust = *trust;
+            Some((adaptive_noise, refused)) => {
+                self.adaptive_noise = *adaptive_noise;
                 refused
             }
             None if B > DP => {
                 let normalised =
-                    |axis: usize| excess[axis] * excess[axis] / (predicted[axis] + self.measurement_var(axis));
+                    |axis: usize| residual[axis] * residual[axis] / (predicted[axis] + self.measurement_var(axis));
                 let largest = (0..3).map(normalised).fold(T::zero(), |most, x| most.max(x));
-                !self.trust.accepts(largest)
+                !self.adaptive_noise.accepts(largest)
             }
             None => false,
         };
-        let (mut normalised_squared, mut surprisal) = (T::zero(), T::zero());
+        let (mut nis, mut surprisal) = (T::zero(), T::zero());
         if refused {
             self.refused += 1;
         } else {
             if B > DP && given.is_none() {
-                self.trust.learn(&excess, &predicted);
+                self.adaptive_noise.learn(&residual, &predicted);
             }
             let r = core::array::from_fn(|axis| self.measurement_var(axis));
             for (axis, gain) in self.covariance.update_block(measured, r).iter().enumerate() {
                 let residual = observed[axis] - error[measured][axis];
                 let normalised = residual * residual / gain.innovation_var;
-                normalised_squared += normalised;
+                nis += normalised;
                 surprisal += normalised + math::ln(gain.innovation_var);
                 for (part, column) in error.iter_mut().zip(&gain.column) {
                     *part += column * residual;
@@ -626,8 +626,8 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         }
         self.interval = Interval::new();
         Innovation {
-            excess: Vec3::from_vector(excess),
-            normalised_squared,
+            residual: Vec3::from_vector(residual),
+            nis,
             fading,
             refused,
             surprisal,
@@ -658,7 +658,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
                 other: None,
             };
             filter.close();
-            filter.take_out();
+            filter.apply_correction();
         }
         // The density at its highest, times its width.
         other.cost - best.cost + math::ln(self.heading_var() / copy.heading_var())
@@ -670,11 +670,11 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         self.measure_turn(config);
         self.feed_back();
         // What the strapdown is from here on is what the next turn is measured from.
-        self.watch.mark(self.strapdown.c_ns.get());
+        self.stationarity.mark(self.strapdown.c_ns.get());
     }
 
     fn measure_turn(&mut self, config: &ConstraintConfig<T>) {
-        let Some(turn) = self.watch.turn(self.strapdown.c_ns.get()) else {
+        let Some(turn) = self.stationarity.turn(self.strapdown.c_ns.get()) else {
             return;
         };
         let noise = &self.config.noise;
@@ -686,23 +686,24 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         }
         let h = self.interval.turn_row(&self.earth);
         let row = Row::new(&self.covariance, &h);
-        let z = Excess {
-            excess: turn.base.z() - constraint::product(&h, &self.error),
+        let z = ScalarInnovation {
+            residual: turn.base.z() - constraint::product(&h, &self.error),
             predicted_var: row.predicted_var,
             walk_var,
         };
-        if let Some(r) = self.watch.judge(config, &turn, &z, self.interval.dt()) {
+        if let Some(r) = self.stationarity.judge(config, &turn, &z, self.interval.dt()) {
             let gain = row.update(&mut self.covariance, r);
             for (part, column) in self.error.iter_mut().zip(&gain.column) {
-                *part += column * z.excess;
+                *part += column * z.residual;
             }
-            self.watch.took(z.excess * z.predicted_var / gain.innovation_var);
+            self.stationarity
+                .took(z.residual * z.predicted_var / gain.innovation_var);
         }
     }
 
     /// Whether the encoder constraint is in force: the base has been seen to rest.
     pub fn is_constrained(&self) -> bool {
-        self.watch.holds()
+        self.stationarity.holds()
     }
 
     /// From now on takes each estimated error out of the strapdown at once, or as soon as the model allows.
@@ -713,11 +714,11 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
     pub fn close_loop(&mut self) {
         self.closing = true;
         if B <= WE {
-            let couplings = self.interval.couplings(&self.config.noise, &self.earth);
-            self.error = propagated(&self.error, &couplings);
+            let transition = self.interval.transition(&self.config.noise, &self.earth);
+            self.error = propagated(&self.error, &transition);
             self.closed = true;
-            self.take_out();
-            self.watch.forget();
+            self.apply_correction();
+            self.stationarity.forget();
         }
     }
 
@@ -735,7 +736,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
             }
         }
         if self.closed || B > WE {
-            self.take_out();
+            self.apply_correction();
         }
     }
 
@@ -770,12 +771,12 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
     /// The same without the estimated error.
     fn turn_frame(&mut self) {
         let turn = self.northward();
-        let couplings = [PHI, DV, DP, WE].map(|block| Coupling {
+        let transition = [PHI, DV, DP, WE].map(|block| TransitionBlock {
             row: block,
             col: block,
             block: turn.matrix() - Matrix3::identity(),
         });
-        self.covariance.propagate(&couplings);
+        self.covariance.propagate(&transition);
         self.strapdown.turn(turn);
         let angle = self.north.best.angle;
         self.north.best.angle = T::zero();
@@ -792,8 +793,8 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         let (mut to_heading, mut gone, mut least) = (Matrix3::zeros(), Matrix3::zeros(), Matrix3::zeros());
         to_heading[(2, 0)] = T::one() / self.earth.w_north();
         gone[(0, 0)] = -T::one();
-        let couplings = [(PHI, to_heading), (WE, gone)].map(|(row, block)| Coupling { row, col: WE, block });
-        self.covariance.propagate(&couplings);
+        let transition = [(PHI, to_heading), (WE, gone)].map(|(row, block)| TransitionBlock { row, col: WE, block });
+        self.covariance.propagate(&transition);
         // A state without any variance cannot be in a covariance: known to 1e-5 rad of heading.
         let little = self.earth.w_north() * T::lit(1e-5);
         least[(0, 0)] = little * little;
@@ -863,7 +864,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
     /// Feedback: the estimated error leaves the strapdown, and is zero. δω stays where it is: it is constant. So does heading
     /// that is not known well and has moved by less than its σ: the model stays linear about one heading, for the frame that
     /// turns with each estimate would turn against errors that are fixed to the housing, and measure them by that.
-    fn take_out(&mut self) {
+    fn apply_correction(&mut self) {
         let mut kept = T::zero();
         if B > WE {
             let (heading, var) = (self.error[PHI].z, self.heading_var());
@@ -885,7 +886,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         if self.closed && self.error[PHI].z == T::zero() {
             return solution;
         }
-        let mut error = propagated(&self.error, &self.interval.couplings(&self.config.noise, &self.earth));
+        let mut error = propagated(&self.error, &self.interval.transition(&self.config.noise, &self.earth));
         if B > WE && !self.closed {
             error = self.closed_error(&error);
             solution.turn(self.northward());
@@ -915,8 +916,8 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
     }
 
     /// How far the base is believed to stand still.
-    pub fn trust(&self) -> &Trust<T> {
-        &self.trust
+    pub fn adaptive_noise(&self) -> &AdaptiveNoise<T> {
+        &self.adaptive_noise
     }
 
     /// Measurements refused since the start, each too far from what was expected to be one.
@@ -1108,7 +1109,7 @@ mod tests {
         for (k, row) in phi.iter_mut().enumerate() {
             row[k] = Matrix3::identity();
         }
-        for c in interval.couplings(&ImuNoise::default(), &earth) {
+        for c in interval.transition(&ImuNoise::default(), &earth) {
             phi[c.row][c.col] += c.block;
         }
         let sizes = [
@@ -1163,9 +1164,9 @@ mod tests {
         let start = Strapdown::new(c_ns(0));
         let run = |mut s: Strapdown<f64>, slow: Vector3<f64>| {
             let mut interval = Interval::<f64, ROBUST>::new();
-            let mut watch = Watch::new();
-            watch.alpha = Some(alpha(0));
-            watch.mark(s.c_ns.get());
+            let mut stationarity = StationarityDetector::new();
+            stationarity.alpha = Some(alpha(0));
+            stationarity.mark(s.c_ns.get());
             for k in 0..20 {
                 let phi_s = (c_ns(k).inverse() * Rot::exp(earth.w_ie_n() * 0.05) * c_ns(k + 1)).log();
                 let dv_s = c_ns(k).inverse() * earth.g_n() * -0.05;
@@ -1176,8 +1177,8 @@ mod tests {
                 s.c_ns.turn_to(half);
                 interval.push(&increment, alpha(k + 1), &middle, &earth);
             }
-            watch.alpha = Some(alpha(20));
-            (watch.turn(s.c_ns.get()).unwrap().base.vector(), interval)
+            stationarity.alpha = Some(alpha(20));
+            (stationarity.turn(s.c_ns.get()).unwrap().base.vector(), interval)
         };
         let none = Vector3::zeros();
         let (at_rest, interval) = run(start, none);
@@ -1334,9 +1335,9 @@ mod tests {
         to_heading[(2, 0)] = 1.0 / filter.earth.w_north();
         let mut gone = Matrix3::zeros();
         gone[(0, 0)] = -1.0;
-        let couplings = [(PHI, to_heading), (WE, gone)].map(|(row, block)| Coupling { row, col: WE, block });
-        filter.covariance.propagate(&couplings);
-        let mut expected = propagated(&filter.error, &couplings);
+        let transition = [(PHI, to_heading), (WE, gone)].map(|(row, block)| TransitionBlock { row, col: WE, block });
+        filter.covariance.propagate(&transition);
+        let mut expected = propagated(&filter.error, &transition);
         let residual = -expected[WE].y;
         let gain = filter.covariance.update(WE, 1, filter.length_var());
         for (part, column) in expected.iter_mut().zip(&gain.column) {
@@ -1464,7 +1465,7 @@ mod tests {
             feed(&mut filter, 0.0);
         }
         assert_eq!(filter.refused(), 0);
-        let quiet = filter.trust().level_var();
+        let quiet = filter.adaptive_noise().level_var();
         assert!(quiet < 1e-6, "{quiet:e}");
         // 1 cm there and back about a measurement.
         for velocity in [0.05_f32, -0.05] {
@@ -1473,7 +1474,7 @@ mod tests {
             }
         }
         assert!(filter.refused() >= 1, "{}", filter.refused());
-        assert!(filter.trust().level_var() < 4.0 * quiet.max(1e-8));
+        assert!(filter.adaptive_noise().level_var() < 4.0 * quiet.max(1e-8));
         let refused = filter.refused();
         // Sway of 0.2 m and 8 s.
         for k in 0..20 * 60_u32 {
@@ -1482,7 +1483,7 @@ mod tests {
             feed(&mut filter, 0.2 * rate * rate * math::sin_cos(phase).1 * dt);
         }
         assert!(filter.refused() - refused <= 12, "{}", filter.refused());
-        let sway = filter.trust().level_var();
+        let sway = filter.adaptive_noise().level_var();
         assert!((0.001..0.2).contains(&sway), "{sway}");
     }
 
@@ -1500,7 +1501,7 @@ mod tests {
         // Half a second of angle random walk, and a doubted gap on top.
         let walk = filter.config.noise.angle_random_walk.powi(2) * 0.5;
         assert!((filter.phi_covariance()[(0, 0)] - at_measurement - walk).abs() < 0.01 * walk);
-        filter.doubt(1e-3, 0.0);
+        filter.inflate_covariance(1e-3, 0.0);
         assert!((filter.phi_covariance()[(2, 2)] - filter.covariance.block(PHI, PHI)[(2, 2)]).abs() > 0.99e-6);
     }
 
@@ -1521,11 +1522,14 @@ mod tests {
             .validate(),
             Err(FilterConfigError::VelocitySd)
         );
-        let trust = TrustConfig {
+        let adaptive_noise = AdaptiveNoiseConfig {
             memory: 1.0,
-            ..good.trust
+            ..good.adaptive_noise
         };
-        assert_eq!(FilterConfig { trust, ..good }.validate(), Err(FilterConfigError::Trust));
+        assert_eq!(
+            FilterConfig { adaptive_noise, ..good }.validate(),
+            Err(FilterConfigError::AdaptiveNoise)
+        );
         assert_eq!(
             FilterConfig {
                 measure_every: f32::NAN,

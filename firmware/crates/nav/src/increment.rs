@@ -80,19 +80,19 @@ pub struct Increment<T: Real = f32> {
     pub dt: T,
 }
 
-/// Turns samples into increments.
+/// Turns samples into increments: corrects for rotation, coning and sculling between two samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Compensator<T: Real = f32> {
+pub struct ConingScullingCorrector<T: Real = f32> {
     previous: Option<Sample<T>>,
 }
 
-impl<T: Real> Default for Compensator<T> {
+impl<T: Real> Default for ConingScullingCorrector<T> {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl<T: Real> Compensator<T> {
+impl<T: Real> ConingScullingCorrector<T> {
     /// One without a past.
     pub fn new() -> Self {
         Self { previous: None }
@@ -201,10 +201,10 @@ mod tests {
 
     /// Errors of rotation and of Δv⁰ of the second of two intervals.
     fn errors(dt: f64) -> (f64, f64) {
-        let mut compensator = Compensator::new();
-        compensator.increment(&truth(-dt, dt).0);
+        let mut corrector = ConingScullingCorrector::new();
+        corrector.increment(&truth(-dt, dt).0);
         let (sample, turn, dv_0) = truth(0.0, dt);
-        let increment = compensator.increment(&sample);
+        let increment = corrector.increment(&sample);
         (Rot::exp(increment.phi_s).angle_to(turn), (increment.dv_s - dv_0).norm())
     }
 
@@ -225,14 +225,14 @@ mod tests {
     #[test]
     fn rotation_term_is_there() {
         // 20 °/s about x under gravity along z: the mean force points 0.1° aside of the start's.
-        let mut compensator = Compensator::new();
+        let mut corrector = ConingScullingCorrector::new();
         let sample = Sample {
             dtheta_s: V::new(3.49e-3, 0.0, 0.0),
             dv_s: V::new(0.0, 0.0, 0.098),
             dt: 0.01,
             gap: 0.0,
         };
-        let increment = compensator.increment(&sample);
+        let increment = corrector.increment(&sample);
         assert!((increment.dv_s.y() + 0.5 * 3.49e-3 * 0.098).abs() < 1e-9);
     }
 

@@ -6,7 +6,7 @@
 //! # The way of a sample
 //!
 //! ```text
-//! Sample ──► Compensator ──► Decimator ──┬──► Coarse ──► CoarseSolution
+//! Sample ──► ConingScullingCorrector ──► Decimator ──┬──► Coarse ──► CoarseSolution
 //! (Δθ, Δv)   rotation,       20 Hz       │                    │ attitude at the start
 //!            coning,                     └──► queue ──► FineFilter ──► Estimate
 //!            sculling                                   replay, then live
@@ -39,6 +39,7 @@
 //! Frames, signs and names are those of [`frames`].
 #![no_std]
 
+pub mod adaptive_noise;
 pub mod aligner;
 pub mod calibration;
 #[cfg(test)]
@@ -59,4 +60,3 @@ pub mod noise;
 pub mod north;
 pub mod rotor;
 pub mod strapdown;
-pub mod trust;

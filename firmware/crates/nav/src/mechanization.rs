@@ -355,7 +355,7 @@ mod tests {
 
     use super::*;
     use crate::earth::OMEGA_IE;
-    use crate::increment::{Compensator, Sample};
+    use crate::increment::{ConingScullingCorrector, Sample};
 
     type S = Vec3<Sensor, f64>;
     type N = Vec3<Nav, f64>;
@@ -680,7 +680,7 @@ mod tests {
     }
 
     /// An IMU that moves about a place: attitude `c_ns(t)` by its rotation vector rate `w_ns_s`, velocity and
-    /// acceleration in n. Samples as an IMU gives them, increments by the compensator.
+    /// acceleration in n. Samples as an IMU gives them, increments by the corrector.
     struct Shaker<'a> {
         c_ns: &'a dyn Fn(f64) -> Rot<Nav, Sensor, f64>,
         w_ns_s: &'a dyn Fn(f64) -> Vector3<f64>,
@@ -705,12 +705,12 @@ mod tests {
                 gap: 0.0,
             };
             let mut navigator = Mechanization::new(place, (self.v_n)(0.0), (self.c_ns)(0.0), Vertical::Free).unwrap();
-            let mut compensator = Compensator::new();
-            compensator.increment(&sample(-dt));
+            let mut corrector = ConingScullingCorrector::new();
+            corrector.increment(&sample(-dt));
             let mut k = 0.0;
             while k * dt < seconds - 0.5 * dt {
                 let sample = sample(k * dt);
-                let whole = compensator.increment(&sample);
+                let whole = corrector.increment(&sample);
                 let bare = Increment {
                     phi_s: sample.dtheta_s,
                     dv_s: sample.dv_s,

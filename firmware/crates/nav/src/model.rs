@@ -48,7 +48,7 @@ use heapless::Vec;
 use nalgebra::{Matrix3, Vector3};
 
 use crate::{
-    covariance::{Coupling, Covariance},
+    covariance::{Covariance, TransitionBlock},
     earth::Earth,
     increment::Increment,
     noise::ImuNoise,
@@ -133,12 +133,12 @@ fn component<T: Real>(v: Vec3<Sensor, T>, axis: usize) -> T {
 
 /// Most blocks of Φ − I that are not zero: nine gyro errors and three of the accelerometers on φ, δV and δp, and their
 /// own.
-const MOST_COUPLINGS: usize = 38;
+const MOST_BLOCKS: usize = 38;
 
 /// Appends to a list that has room for the full one.
-fn add_coupling<T: Real>(all: &mut Vec<Coupling<T>, MOST_COUPLINGS>, row: usize, col: usize, block: Matrix3<T>) {
-    let pushed = all.push(Coupling { row, col, block });
-    debug_assert!(pushed.is_ok(), "MOST_COUPLINGS");
+fn add_block<T: Real>(all: &mut Vec<TransitionBlock<T>, MOST_BLOCKS>, row: usize, col: usize, block: Matrix3<T>) {
+    let pushed = all.push(TransitionBlock { row, col, block });
+    debug_assert!(pushed.is_ok(), "MOST_BLOCKS");
 }
 
 /// What a constant error does to the strapdown by the end of the interval.
@@ -197,7 +197,7 @@ impl<T: Real, const B: usize> Interval<T, B> {
     }
 
     /// Says that the samples have missed a turn (rad) and a velocity change (m/s) of these 1σ on each axis.
-    pub(crate) fn doubt(&mut self, phi_sd: T, dv_sd: T) {
+    pub(crate) fn inflate_covariance(&mut self, phi_sd: T, dv_sd: T) {
         self.phi_var += phi_sd * phi_sd;
         self.dv_var += dv_sd * dv_sd;
     }
@@ -259,9 +259,9 @@ impl<T: Real, const B: usize> Interval<T, B> {
     }
 
     /// Φ − I.
-    pub(crate) fn couplings(&self, noise: &ImuNoise<T>, earth: &Earth<T>) -> Vec<Coupling<T>, MOST_COUPLINGS> {
+    pub(crate) fn transition(&self, noise: &ImuNoise<T>, earth: &Earth<T>) -> Vec<TransitionBlock<T>, MOST_BLOCKS> {
         let mut all = Vec::new();
-        let mut couple = |row, col, block| add_coupling(&mut all, row, col, block);
+        let mut couple = |row, col, block| add_block(&mut all, row, col, block);
         let t = self.dt;
         let half = T::lit(0.5) * t;
         let identity = Matrix3::identity();
@@ -345,7 +345,7 @@ impl<T: Real, const B: usize> Interval<T, B> {
             p.add(BA, BA, &(identity * (noise.accel_bias_walk_psd() * t)));
         }
         if B > GM {
-            p.add(GM, GM, &(identity * noise.gyro_instability_kick_var(t)));
+            p.add(GM, GM, &(identity * noise.gyro_instability_driving_noise_var(t)));
         } else {
             p.add(BG, BG, &(identity * (noise.gyro_bias_walk_psd() * t)));
         }
@@ -382,7 +382,7 @@ mod tests {
                 };
                 interval.push(&still, 0.0, &Matrix3::identity(), &earth);
             }
-            p.propagate(&interval.couplings(&noise, &earth));
+            p.propagate(&interval.transition(&noise, &earth));
             interval.add_noise(&mut p, &noise, &earth);
         }
         p

@@ -22,8 +22,8 @@
 
 use frames::{Attitude, AttitudeSd, Nav, Real, Rot, Vec3, math};
 
-use crate::aligner::{Estimate, HandOver};
-use crate::increment::{Compensator, Decimator, Sample};
+use crate::aligner::{AlignmentResult, Estimate};
+use crate::increment::{ConingScullingCorrector, Decimator, Sample};
 use crate::mechanization::{Mechanization, MechanizationError, Position, Vertical};
 
 /// ω_s, rad/s.
@@ -94,8 +94,8 @@ pub struct Track<T: Real = f32> {
 pub struct Navigator<T: Real = f32> {
     config: NavigatorConfig<T>,
     mechanization: Mechanization<T>,
-    from: HandOver<T>,
-    compensator: Compensator<T>,
+    from: AlignmentResult<T>,
+    corrector: ConingScullingCorrector<T>,
     decimator: Decimator<T>,
     last: Option<Sample<T>>,
     /// The rotor's angle at the end of the last sample, rad.
@@ -109,7 +109,11 @@ impl<T: Real> Navigator<T> {
     ///
     /// # Errors
     /// [`MechanizationError`] where place or velocity cannot be.
-    pub fn new(config: NavigatorConfig<T>, start: Position<T>, from: &HandOver<T>) -> Result<Self, MechanizationError> {
+    pub fn new(
+        config: NavigatorConfig<T>,
+        start: Position<T>,
+        from: &AlignmentResult<T>,
+    ) -> Result<Self, MechanizationError> {
         Ok(Self {
             mechanization: Mechanization::new(
                 start,
@@ -118,7 +122,7 @@ impl<T: Real> Navigator<T> {
                 config.vertical,
             )?,
             from: *from,
-            compensator: Compensator::new(),
+            corrector: ConingScullingCorrector::new(),
             decimator: Decimator::new(config.decimate_to),
             last: None,
             alpha: from.alpha,
@@ -151,7 +155,7 @@ impl<T: Real> Navigator<T> {
     }
 
     fn advance(&mut self, sample: &Sample<T>, alpha: T) -> Result<(), NavigatorError<T>> {
-        let increment = self.compensator.increment(sample);
+        let increment = self.corrector.increment(sample);
         self.t += sample.dt;
         if let Some(joined) = self.decimator.push(&increment) {
             self.mechanization
@@ -255,13 +259,13 @@ mod tests {
         Rot::from_yaw_pitch_roll(0.7, 0.02, -0.03)
     }
 
-    fn hand_over(gyro: Vec3<Sensor, f64>, accel: Vec3<Sensor, f64>) -> HandOver<f64> {
+    fn alignment_result(gyro: Vec3<Sensor, f64>, accel: Vec3<Sensor, f64>) -> AlignmentResult<f64> {
         let sd = AttitudeSd {
             heading: 5e-3,
             pitch: 1e-4,
             roll: 2e-4,
         };
-        HandOver {
+        AlignmentResult {
             estimate: Estimate {
                 c_nb: c_nb(),
                 attitude: Attitude::from_rot(&c_nb()),
@@ -308,7 +312,7 @@ mod tests {
 
     #[test]
     fn goes_on_with_what_the_alignment_knew() {
-        let mut navigator = Navigator::new(CONFIG, PLACE, &hand_over(gyro_bias(), accel_bias())).unwrap();
+        let mut navigator = Navigator::new(CONFIG, PLACE, &alignment_result(gyro_bias(), accel_bias())).unwrap();
         // Ends between two increments: what is pending counts.
         run(&mut navigator, 0..30_003);
         let off = navigator.estimate().c_nb.angle_to(c_nb());
@@ -325,9 +329,9 @@ mod tests {
     #[test]
     fn the_rotors_axis_is_where_the_alignment_found_it() {
         let rotor_in_s = Rot::exp(Vec3::<Sensor, f64>::new(3e-3, -2e-3, 0.0));
-        let from = HandOver {
+        let from = AlignmentResult {
             rotor_in_s,
-            ..hand_over(gyro_bias(), accel_bias())
+            ..alignment_result(gyro_bias(), accel_bias())
         };
         let mut navigator = Navigator::new(CONFIG, PLACE, &from).unwrap();
         // Half a turn: the axis taken for z of s would be off by twice that.
@@ -350,7 +354,7 @@ mod tests {
     #[test]
     fn what_is_left_of_a_bias() {
         let known = Vec3::new(0.0, 0.0, 0.0);
-        let mut navigator = Navigator::new(CONFIG, PLACE, &hand_over(known, accel_bias())).unwrap();
+        let mut navigator = Navigator::new(CONFIG, PLACE, &alignment_result(known, accel_bias())).unwrap();
         // Ten turns.
         run(&mut navigator, 0..18_000);
         let error = (navigator.estimate().c_nb * c_nb().inverse()).log();
@@ -361,7 +365,7 @@ mod tests {
 
     #[test]
     fn the_sd_grows_as_documented() {
-        let mut navigator = Navigator::new(CONFIG, PLACE, &hand_over(gyro_bias(), accel_bias())).unwrap();
+        let mut navigator = Navigator::new(CONFIG, PLACE, &alignment_result(gyro_bias(), accel_bias())).unwrap();
         run(&mut navigator, 0..30_000);
         let AttitudeSd { heading, pitch, roll } = navigator.estimate().sd;
         let squares = |parts: [f64; 3]| parts.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -381,7 +385,7 @@ mod tests {
 
     #[test]
     fn short_gaps_are_bridged_and_long_ones_end_it() {
-        let mut navigator = Navigator::new(CONFIG, PLACE, &hand_over(gyro_bias(), accel_bias())).unwrap();
+        let mut navigator = Navigator::new(CONFIG, PLACE, &alignment_result(gyro_bias(), accel_bias())).unwrap();
         run(&mut navigator, 0..100);
         let (mut late, alpha) = sample(110);
         late.gap = 10.0 * DT;
@@ -406,7 +410,7 @@ mod tests {
     #[test]
     fn a_fix_leaves_attitude_and_height() {
         let start = Position { height: 7.0, ..PLACE };
-        let mut navigator = Navigator::new(CONFIG, start, &hand_over(gyro_bias(), accel_bias())).unwrap();
+        let mut navigator = Navigator::new(CONFIG, start, &alignment_result(gyro_bias(), accel_bias())).unwrap();
         run(&mut navigator, 0..1003);
         let before = navigator.estimate().c_nb;
         navigator.fix([3.0, -4.0], Some([0.5, -3.0])).unwrap();
@@ -430,6 +434,6 @@ mod tests {
     #[test]
     fn no_navigation_from_an_impossible_place() {
         let nowhere = Position { latitude: 2.0, ..PLACE };
-        assert!(Navigator::new(CONFIG, nowhere, &hand_over(gyro_bias(), accel_bias())).is_err());
+        assert!(Navigator::new(CONFIG, nowhere, &alignment_result(gyro_bias(), accel_bias())).is_err());
     }
 }

@@ -147,7 +147,7 @@ impl<T: Real> ImuNoise<T> {
     }
 
     /// Variance that the Gauss–Markov part takes up in `t` seconds, (rad/s)²: what keeps it stationary.
-    pub fn gyro_instability_kick_var(&self, t: T) -> T {
+    pub fn gyro_instability_driving_noise_var(&self, t: T) -> T {
         let decay = self.gyro_instability_decay(t);
         self.gyro_instability_sd * self.gyro_instability_sd * (T::one() - decay * decay)
     }
@@ -371,14 +371,14 @@ mod tests {
         let mut var = 4.0;
         for t in [1.0, 10.0, 50.0] {
             let decay = noise.gyro_instability_decay(t);
-            var = var * decay * decay + noise.gyro_instability_kick_var(t);
+            var = var * decay * decay + noise.gyro_instability_driving_noise_var(t);
             assert!((var - 4.0).abs() < 1e-12);
         }
         let constant = ImuNoise::<f64>::default();
         assert_eq!(
             (
                 constant.gyro_instability_decay(10.0),
-                constant.gyro_instability_kick_var(10.0)
+                constant.gyro_instability_driving_noise_var(10.0)
             ),
             (1.0, 0.0)
         );

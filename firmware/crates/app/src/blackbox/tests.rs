@@ -49,8 +49,8 @@ const OVERRUN: Fault = Fault::TaskOverrun {
     silent_ms: 21,
 };
 
-fn at(mode: ModeName, t_s: u32) -> Doing {
-    Doing {
+fn at(mode: ModeName, t_s: u32) -> Context {
+    Context {
         mode: Some(mode),
         t_s,
         heading_sd: None,
@@ -82,11 +82,11 @@ fn a_fault_before_a_reset_is_told_after_it() {
     let mut memory = Ram::zeros();
     run(&mut memory, ResetCause::PowerOn, |blackbox| {
         blackbox.live(at(ModeName::Aligned, 1233));
-        let doing = Doing {
+        let context = Context {
             heading_sd: Some((0.31 * DEG) as f32),
             ..at(ModeName::Aligned, 1234)
         };
-        blackbox.fault(&OVERRUN, doing);
+        blackbox.fault(&OVERRUN, context);
     });
     let started = BlackBox::start(&mut memory, ResetCause::Watchdog, 0);
     assert_eq!(
@@ -403,7 +403,7 @@ fn answers_fit_a_sentence() {
         let entry = Entry {
             start: 12,
             cause,
-            doing: Doing {
+            context: Context {
                 heading_sd: Some((0.31 * DEG) as f32),
                 ..at(ModeName::Calibrating, 12_345)
             },
@@ -446,11 +446,11 @@ proptest! {
         let entry = Entry {
             start,
             cause,
-            doing: Doing { mode: mode.map(|mode| ModeName::ALL[mode]), t_s, heading_sd: sd },
+            context: Context { mode: mode.map(|mode| ModeName::ALL[mode]), t_s, heading_sd: sd },
             count: 1,
         };
         let mut memory = Ram::zeros();
-        put(&mut memory, cause, start, &entry.doing);
+        put(&mut memory, cause, start, &entry.context);
         prop_assert_eq!(entries(&memory).collect::<Vec<_>>(), [entry]);
         prop_assert!(entry.answer().as_str().is_ascii());
     }

@@ -15,7 +15,7 @@ use heapless::Vec;
 
 use crate::command::Command;
 use crate::log::Level;
-use crate::nmea::{Line, Sentence, Talker};
+use crate::nmea::{Sentence, SentenceBuilder, Talker};
 use crate::nmea_in::{self, Fix};
 use crate::settings::{Group, Invalid, Position, Settings, Source};
 
@@ -230,7 +230,7 @@ impl Setting {
 
     /// Its name, value and unit.
     pub(super) fn tell(&self, settings: &Settings) -> Sentence {
-        let mut line = Line::answer(true);
+        let mut line = SentenceBuilder::answer(true);
         line.words(self.name);
         line.words(" ");
         match self.field {
@@ -255,7 +255,7 @@ impl Setting {
 
     /// What `invalid` would have taken, in the unit in which it is typed.
     pub(super) fn expected(&self, invalid: Invalid) -> Sentence {
-        let mut line = Line::answer(false);
+        let mut line = SentenceBuilder::answer(false);
         line.words("expected ");
         line.words(self.name);
         if let Invalid::OutOfRange { low, high, .. } = invalid {

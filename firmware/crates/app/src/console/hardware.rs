@@ -6,7 +6,7 @@
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use frames::units::{DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR, PPM};
 
-use crate::nmea::{Line, Sentence};
+use crate::nmea::{Sentence, SentenceBuilder};
 use crate::rotor::Side;
 use crate::selftest::InspectionConfig;
 use crate::shared::Shared;
@@ -58,7 +58,7 @@ pub(super) fn tell<M: RawMutex>(shared: &Shared<M>, [enough, guarded]: [bool; 2]
     let (measured, settings) = (shared.measured(), shared.settings());
     let (imu, counts) = (shared.imu(), shared.sample_counts());
     let inspection = InspectionConfig::for_imu(&settings.noise);
-    let mut line = Line::answer(true);
+    let mut line = SentenceBuilder::answer(true);
     match fact {
         Fact::Clock => line.words(if shared.clock().is_exact() {
             "clock crystal - as expected"
@@ -153,7 +153,7 @@ pub(super) fn tell<M: RawMutex>(shared: &Shared<M>, [enough, guarded]: [bool; 2]
     line.end()
 }
 
-impl Line {
+impl SentenceBuilder {
     /// A figure between words, or that it was not measured.
     #[inline(never)]
     fn found(&mut self, name: &str, value: Option<f32>, decimals: usize, unit: &str) {

@@ -34,7 +34,7 @@ use crate::alignment::{AGREE, DOUBT_US, INSTANT_US};
 use crate::blackbox::{self, Memory};
 use crate::command::Command;
 use crate::hal::Supply;
-use crate::nmea::{self, Line, Sentence};
+use crate::nmea::{self, Sentence, SentenceBuilder};
 use crate::nmea_in::{Fix, Place};
 use crate::output::Port;
 use crate::settings::{Group, Position, Settings, Source, Store, StoreError};
@@ -78,8 +78,8 @@ pub async fn run<M: RawMutex, F: NorFlash>(
         for byte in bytes.iter().take(count) {
             if let Some(found) = lines.push(*byte) {
                 match found {
-                    Ok(Request::Fix(fix)) => heed(shared, &mut store, &mut supply, &fix, &mut keep).await,
-                    Ok(request) => obey(shared, port, &mut store, &mut records, &mut supply, request).await,
+                    Ok(Request::Fix(fix)) => handle_fix(shared, &mut store, &mut supply, &fix, &mut keep).await,
+                    Ok(request) => execute(shared, port, &mut store, &mut records, &mut supply, request).await,
                     Err(error) => port.answer(nmea::answer(false, error.expected())).await,
                 }
             }
@@ -121,7 +121,7 @@ impl Keep {
 }
 
 /// Passes on what a receiver says, and keeps time and place once they are believed.
-async fn heed<M: RawMutex, F: NorFlash>(
+async fn handle_fix<M: RawMutex, F: NorFlash>(
     shared: &Shared<M>,
     store: &mut Store<F>,
     supply: &mut impl Supply,
@@ -174,7 +174,7 @@ async fn heed<M: RawMutex, F: NorFlash>(
     }
 }
 
-async fn obey<M: RawMutex, F: NorFlash>(
+async fn execute<M: RawMutex, F: NorFlash>(
     shared: &Shared<M>,
     port: &Port<M>,
     store: &mut Store<F>,
@@ -185,7 +185,7 @@ async fn obey<M: RawMutex, F: NorFlash>(
     let (ok, text) = match request {
         Request::Help => {
             for word in &WORDS {
-                let mut line = Line::answer(true);
+                let mut line = SentenceBuilder::answer(true);
                 for text in [word.name, " - ", word.help] {
                     line.words(text);
                 }
@@ -239,7 +239,7 @@ async fn obey<M: RawMutex, F: NorFlash>(
         }
         Request::Fix(_) => return,
         Request::Version => {
-            let mut line = Line::answer(true);
+            let mut line = SentenceBuilder::answer(true);
             line.words("rotary-north ");
             line.words(shared.version());
             return port.answer(line.end()).await;
@@ -304,7 +304,7 @@ fn found<M: RawMutex>(shared: &Shared<M>) -> Result<Deviation, &'static str> {
 
 fn tell(deviation: &Deviation) -> Sentence {
     let [x, y] = deviation.rate_b;
-    let mut line = Line::answer(true);
+    let mut line = SentenceBuilder::answer(true);
     for (word, rate) in [("deviation ", x), (" ", y), (" deg/h sd ", deviation.sd)] {
         line.words(word);
         line.decimal(rate / DEG_PER_HOUR as f32, 3);

@@ -2,7 +2,7 @@
 
 use frames::wording;
 
-use crate::figure::{deg, figure};
+use crate::fixed_decimal::{deg, fixed_decimal};
 
 /// Why the outputs are off until [`Command::Clear`](super::Command::Clear). Angles in rad, rates in rad/s.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -112,7 +112,7 @@ wording!(RotorFault, |self, say| {
         ),
         Self::PolePairs { expected, measured } => say!(
             "the motor has {} pole pairs, configured are {}",
-            figure(measured, 1),
+            fixed_decimal(measured, 1),
             expected
         ),
         Self::Endless => say!("calibration and search do not end: check free travel, friction and a base that moves"),

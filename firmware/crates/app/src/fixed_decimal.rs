@@ -5,7 +5,7 @@ use frames::units::{DEG, DEG_PER_HOUR, DEG_PER_SQRT_HOUR};
 /// A number with so many digits behind the point, for people: defmt has no such format, and formatting an `f32` on the
 /// target takes 14 kB of flash.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Figure {
+pub(crate) struct FixedDecimal {
     value: f32,
     decimals: u8,
     /// Digits before the point below which blanks come before it.
@@ -15,8 +15,8 @@ pub(crate) struct Figure {
 }
 
 /// A number with `decimals`, 4 at the most.
-pub(crate) const fn figure(value: f32, decimals: u8) -> Figure {
-    Figure {
+pub(crate) const fn fixed_decimal(value: f32, decimals: u8) -> FixedDecimal {
+    FixedDecimal {
         value,
         decimals,
         width: 0,
@@ -25,18 +25,18 @@ pub(crate) const fn figure(value: f32, decimals: u8) -> Figure {
 }
 
 /// Degrees of an angle in rad.
-pub(crate) fn deg(angle: f32, decimals: u8) -> Figure {
-    figure(angle / DEG as f32, decimals)
+pub(crate) fn deg(angle: f32, decimals: u8) -> FixedDecimal {
+    fixed_decimal(angle / DEG as f32, decimals)
 }
 
 /// °/h of a rate in rad/s.
-pub(crate) fn deg_h(rate: f32) -> Figure {
-    figure(rate / DEG_PER_HOUR as f32, 1)
+pub(crate) fn deg_h(rate: f32) -> FixedDecimal {
+    fixed_decimal(rate / DEG_PER_HOUR as f32, 1)
 }
 
 /// °/√h of a random walk in rad/√s.
-pub(crate) fn deg_sqrt_h(walk: f32) -> Figure {
-    figure(walk / DEG_PER_SQRT_HOUR as f32, 3)
+pub(crate) fn deg_sqrt_h(walk: f32) -> FixedDecimal {
+    fixed_decimal(walk / DEG_PER_SQRT_HOUR as f32, 3)
 }
 
 /// Whole seconds of a time in µs: 136 years' worth.
@@ -49,7 +49,7 @@ pub(crate) const fn hex_digit(nibble: u8) -> u8 {
     nibble + if nibble < 10 { b'0' } else { b'A' - 10 }
 }
 
-impl Figure {
+impl FixedDecimal {
     /// With its sign, always.
     pub(crate) const fn signed(self) -> Self {
         Self { signed: true, ..self }
@@ -95,7 +95,7 @@ impl Figure {
     }
 }
 
-frames::wording!(Figure, |self, say| {
+frames::wording!(FixedDecimal, |self, say| {
     let (before, whole, fraction) = self.parts();
     match self.decimals {
         0 => say!("{}{}", before, whole),
@@ -117,24 +117,24 @@ mod tests {
     #[test]
     fn digits_signs_and_columns() {
         let table = [
-            (figure(0.0, 0), "0"),
-            (figure(-0.4, 0), "0"),
-            (figure(-0.5, 0), "-1"),
-            (figure(0.05, 1), "0.1"),
-            (figure(-0.05, 2), "-0.05"),
-            (figure(7.0, 3), "7.000"),
-            (figure(1.234_56, 4), "1.2346"),
-            (figure(99.999, 2), "100.00"),
-            (figure(12.3, 1).signed(), "+12.3"),
-            (figure(-12.3, 1).signed(), "-12.3"),
-            (figure(-0.001, 2).signed(), "+0.00"),
-            (figure(7.25, 2).column(3), "  7.25"),
-            (figure(359.996, 2).column(3), "360.00"),
-            (figure(-7.25, 2).signed().column(2), " -7.25"),
-            (figure(-107.25, 2).signed().column(2), "-107.25"),
-            (figure(123_456.0, 2), "123456.00"),
-            (figure(f32::NAN, 1), "400000000.0"),
-            (figure(f32::NEG_INFINITY, 0), "-4000000000"),
+            (fixed_decimal(0.0, 0), "0"),
+            (fixed_decimal(-0.4, 0), "0"),
+            (fixed_decimal(-0.5, 0), "-1"),
+            (fixed_decimal(0.05, 1), "0.1"),
+            (fixed_decimal(-0.05, 2), "-0.05"),
+            (fixed_decimal(7.0, 3), "7.000"),
+            (fixed_decimal(1.234_56, 4), "1.2346"),
+            (fixed_decimal(99.999, 2), "100.00"),
+            (fixed_decimal(12.3, 1).signed(), "+12.3"),
+            (fixed_decimal(-12.3, 1).signed(), "-12.3"),
+            (fixed_decimal(-0.001, 2).signed(), "+0.00"),
+            (fixed_decimal(7.25, 2).column(3), "  7.25"),
+            (fixed_decimal(359.996, 2).column(3), "360.00"),
+            (fixed_decimal(-7.25, 2).signed().column(2), " -7.25"),
+            (fixed_decimal(-107.25, 2).signed().column(2), "-107.25"),
+            (fixed_decimal(123_456.0, 2), "123456.00"),
+            (fixed_decimal(f32::NAN, 1), "400000000.0"),
+            (fixed_decimal(f32::NEG_INFINITY, 0), "-4000000000"),
         ];
         for (figure, text) in table {
             assert_eq!(figure.to_string(), text, "{figure:?}");
@@ -145,14 +145,14 @@ mod tests {
         #[test]
         fn it_is_the_number(value in -1e5_f32..1e5, decimals in 0_u8..=4) {
             let step = 0.1_f64.powi(decimals.into());
-            let text = figure(value, decimals).to_string();
+            let text = fixed_decimal(value, decimals).to_string();
             let found: f64 = text.parse().unwrap();
             // Half a step, and what the product with the scale is rounded by.
             let off = (found - f64::from(value)).abs();
             prop_assert!(off <= 0.5 * step + 1.2e-7 * f64::from(value).abs(), "{value}: {text}");
             let digits = text.split_once('.').map_or(0, |(_, digits)| digits.len());
             prop_assert_eq!(digits, usize::from(decimals));
-            prop_assert_eq!(figure(value, decimals).signed().to_string().replace('+', ""), text);
+            prop_assert_eq!(fixed_decimal(value, decimals).signed().to_string().replace('+', ""), text);
         }
     }
 }

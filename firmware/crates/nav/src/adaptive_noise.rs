@@ -1,4 +1,4 @@
-//! How far the base may be believed to stand still: measurement noise from the measurements themselves.
+//! Adaptive measurement noise: the variance of the base's displacement, estimated from the innovations.
 //!
 //! A laboratory floor stays within a tenth of a millimetre, a deck sways by half a metre, and one filter shall do
 //! for both. So the variance r of the base's displacement is estimated with the state, by variational Bayes: r has
@@ -34,7 +34,7 @@ use nalgebra::Vector3;
 /// | `correlation` | – | refused | 4 measurements |
 /// | `gate` | σ | refused | 6 |
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TrustConfig<T: Real = f32> {
+pub struct AdaptiveNoiseConfig<T: Real = f32> {
     /// 1σ of displacement below which no base is believed to stay, m.
     pub least_sd: T,
     /// Where the estimate starts, m: a deck. A floor shows in seconds that it is none; a filter that begins with a
@@ -52,7 +52,7 @@ pub struct TrustConfig<T: Real = f32> {
     pub gate: T,
 }
 
-impl<T: Real> Default for TrustConfig<T> {
+impl<T: Real> Default for AdaptiveNoiseConfig<T> {
     fn default() -> Self {
         Self {
             least_sd: T::lit(2.5e-5),
@@ -66,7 +66,7 @@ impl<T: Real> Default for TrustConfig<T> {
     }
 }
 
-impl<T: Real> TrustConfig<T> {
+impl<T: Real> AdaptiveNoiseConfig<T> {
     /// Whether the figures are in range.
     pub fn is_valid(&self) -> bool {
         let (zero, one) = (T::zero(), T::one());
@@ -156,18 +156,18 @@ const MOST_OVER_LEFT: f64 = 10.0;
 /// Refusals in a row after which the base is believed to have begun to move.
 const MOST_REFUSED: u8 = 3;
 
-/// The estimate.
+/// The estimated measurement noise of displacement.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Trust<T: Real = f32> {
-    config: TrustConfig<T>,
+pub struct AdaptiveNoise<T: Real = f32> {
+    config: AdaptiveNoiseConfig<T>,
     level: InverseGamma<T>,
     up: InverseGamma<T>,
     in_a_row: u8,
 }
 
-impl<T: Real> Trust<T> {
+impl<T: Real> AdaptiveNoise<T> {
     /// A base that may be a deck.
-    pub fn new(config: TrustConfig<T>) -> Self {
+    pub fn new(config: AdaptiveNoiseConfig<T>) -> Self {
         let var = config.start_sd * config.start_sd;
         let start = InverseGamma {
             shape: T::one(),
@@ -242,17 +242,17 @@ impl<T: Real> Trust<T> {
 mod tests {
     use super::*;
 
-    fn learnt(sd: f64, predicted: f64, from: f64) -> Trust<f64> {
-        let mut trust = Trust::new(TrustConfig {
+    fn learnt(sd: f64, predicted: f64, from: f64) -> AdaptiveNoise<f64> {
+        let mut adaptive_noise = AdaptiveNoise::new(AdaptiveNoiseConfig {
             start_sd: from,
-            ..TrustConfig::default()
+            ..AdaptiveNoiseConfig::default()
         });
         // What a Gaussian would give, without chance: innovations of one size.
         let innovation = Vector3::repeat((sd * sd + predicted).sqrt());
         for _ in 0..400 {
-            trust.learn(&innovation, &Vector3::repeat(predicted));
+            adaptive_noise.learn(&innovation, &Vector3::repeat(predicted));
         }
-        trust
+        adaptive_noise
     }
 
     #[test]
@@ -274,43 +274,47 @@ mod tests {
 
     #[test]
     fn level_and_up_are_apart_and_weighed_by_their_correlation() {
-        let mut trust = Trust::<f64>::new(TrustConfig::default());
+        let mut adaptive_noise = AdaptiveNoise::<f64>::new(AdaptiveNoiseConfig::default());
         for _ in 0..400 {
-            trust.learn(&Vector3::new(0.1, 0.1, 1e-3), &Vector3::repeat(1e-9));
+            adaptive_noise.learn(&Vector3::new(0.1, 0.1, 1e-3), &Vector3::repeat(1e-9));
         }
-        assert!((trust.variance(0) / 0.04 - 1.0).abs() < 0.05);
-        assert_eq!(trust.variance(0), trust.variance(1));
-        assert!((trust.variance(2) / 4e-6 - 1.0).abs() < 0.1, "{}", trust.variance(2));
+        assert!((adaptive_noise.variance(0) / 0.04 - 1.0).abs() < 0.05);
+        assert_eq!(adaptive_noise.variance(0), adaptive_noise.variance(1));
+        assert!(
+            (adaptive_noise.variance(2) / 4e-6 - 1.0).abs() < 0.1,
+            "{}",
+            adaptive_noise.variance(2)
+        );
         // Never below the floor.
         for _ in 0..2000 {
-            trust.learn(&Vector3::zeros(), &Vector3::zeros());
+            adaptive_noise.learn(&Vector3::zeros(), &Vector3::zeros());
         }
-        assert!((trust.variance(2) / (5e-5 * 5e-5) - 1.0).abs() < 1e-9);
+        assert!((adaptive_noise.variance(2) / (5e-5 * 5e-5) - 1.0).abs() < 1e-9);
     }
 
     #[test]
     fn a_floor_shows_within_a_minute() {
         // Seen with r far too large, and what the state knows of displacement in proportion.
-        let mut trust = Trust::<f64>::new(TrustConfig::default());
+        let mut adaptive_noise = AdaptiveNoise::<f64>::new(AdaptiveNoiseConfig::default());
         for _ in 0..54 {
-            let predicted = 0.1 * trust.level_var();
-            trust.learn(&Vector3::repeat(1e-4), &Vector3::repeat(predicted));
+            let predicted = 0.1 * adaptive_noise.level_var();
+            adaptive_noise.learn(&Vector3::repeat(1e-4), &Vector3::repeat(predicted));
         }
-        assert!(trust.level_var() < 2e-7, "{:e}", trust.level_var());
+        assert!(adaptive_noise.level_var() < 2e-7, "{:e}", adaptive_noise.level_var());
         // Taken again it begins with what was left.
-        assert!(trust.as_prior().level_var() < 2e-8);
+        assert!(adaptive_noise.as_prior().level_var() < 2e-8);
     }
 
     #[test]
     fn r_stays_where_the_state_explains_what_is_seen() {
-        let start = TrustConfig::<f64>::default().start_sd.powi(2);
+        let start = AdaptiveNoiseConfig::<f64>::default().start_sd.powi(2);
         let (predicted, steps) = (Vector3::repeat(100.0 * start), 54);
         let after = |innovation: f64| {
-            let mut trust = Trust::<f64>::new(TrustConfig::default());
+            let mut adaptive_noise = AdaptiveNoise::<f64>::new(AdaptiveNoiseConfig::default());
             for _ in 0..steps {
-                trust.learn(&Vector3::repeat(innovation), &predicted);
+                adaptive_noise.learn(&Vector3::repeat(innovation), &predicted);
             }
-            trust.level_var() / start
+            adaptive_noise.level_var() / start
         };
         let (fits, far_smaller) = (after((101.0 * start).sqrt()), after((1e-4 * start).sqrt()));
         assert!((0.5..2.0).contains(&fits), "{fits}");
@@ -319,9 +323,9 @@ mod tests {
 
     #[test]
     fn a_few_outliers_are_refused_and_no_more() {
-        let mut trust = Trust::<f64>::new(TrustConfig::default());
-        let taken: [bool; 6] = core::array::from_fn(|_| trust.accepts(37.0));
+        let mut adaptive_noise = AdaptiveNoise::<f64>::new(AdaptiveNoiseConfig::default());
+        let taken: [bool; 6] = core::array::from_fn(|_| adaptive_noise.accepts(37.0));
         assert_eq!(taken, [false, false, false, true, false, false]);
-        assert!(trust.accepts(35.0));
+        assert!(adaptive_noise.accepts(35.0));
     }
 }

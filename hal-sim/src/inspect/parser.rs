@@ -44,9 +44,9 @@ pub struct Attitude {
     pub roll_deg: f64,
 }
 
-/// What a line tells.
+/// An event of the unit's log, as read from one line.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Told {
+pub enum LogEvent {
     /// The program's version, the first line of a start.
     Version,
     /// The unit has started.
@@ -146,19 +146,19 @@ struct Pattern {
     pieces: Vec<Piece>,
 }
 
-/// The unit's wording.
+/// Parses lines of the unit's log, by patterns of all its events.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Wording {
+pub struct LogParser {
     patterns: Vec<Pattern>,
 }
 
-impl Default for Wording {
+impl Default for LogParser {
     fn default() -> Self {
         Self::learn()
     }
 }
 
-impl Wording {
+impl LogParser {
     /// Asks the unit how it says what.
     pub fn learn() -> Self {
         let mut patterns = Vec::new();
@@ -175,19 +175,19 @@ impl Wording {
     }
 
     /// What a line's text tells, if anything.
-    pub fn read(&self, text: &str) -> Option<Told> {
+    pub fn read(&self, text: &str) -> Option<LogEvent> {
         let text = normal(text);
         if text.starts_with(VERSION) {
-            return Some(Told::Version);
+            return Some(LogEvent::Version);
         }
         if text.starts_with(SETTINGS) || text.starts_with(CLOCK) {
-            return Some(Told::Note);
+            return Some(LogEvent::Note);
         }
         if let Some(attitude) = estimate(&text) {
-            return Some(Told::Estimate(attitude));
+            return Some(LogEvent::Estimate(attitude));
         }
         if is_report(&text) {
-            return Some(Told::Note);
+            return Some(LogEvent::Note);
         }
         self.patterns.iter().find_map(|pattern| {
             let values = pattern.values(&text)?;
@@ -201,36 +201,36 @@ pub(super) fn mode(name: &str) -> Option<ModeName> {
     ModeName::ALL.into_iter().find(|mode| mode.as_str() == name)
 }
 
-fn told(kind: Kind, values: &[&str]) -> Option<Told> {
+fn told(kind: Kind, values: &[&str]) -> Option<LogEvent> {
     let value = |k: usize| values.get(k).copied().filter(|value| !value.is_empty());
     let number = |k| value(k)?.parse::<f64>().ok().filter(|x| x.is_finite());
     let count = |k| value(k)?.parse::<u32>().ok();
     Some(match kind {
-        Kind::Started => Told::Started {
+        Kind::Started => LogEvent::Started {
             cause: value(0)?.to_owned(),
         },
-        Kind::Mode => Told::Mode(mode(value(0)?)?),
-        Kind::Coarse => Told::Coarse {
+        Kind::Mode => LogEvent::Mode(mode(value(0)?)?),
+        Kind::Coarse => LogEvent::Coarse {
             heading_deg: number(0)?,
             sd_deg: number(1)?,
         },
-        Kind::NotAligned => Told::NotAligned,
-        Kind::AlignsAnew => Told::AlignsAnew,
-        Kind::Fault => Told::Fault {
+        Kind::NotAligned => LogEvent::NotAligned,
+        Kind::AlignsAnew => LogEvent::AlignsAnew,
+        Kind::Fault => LogEvent::Fault {
             name: value(0)?.to_owned(),
             text: value(1)?.to_owned(),
         },
-        Kind::Retry => Told::Retry { attempt: count(0)? },
-        Kind::Latched => Told::Latched,
-        Kind::Lost => Told::Lost {
+        Kind::Retry => LogEvent::Retry { attempt: count(0)? },
+        Kind::Latched => LogEvent::Latched,
+        Kind::Lost => LogEvent::Lost {
             samples: count(0)?,
             total: count(1)?,
         },
-        Kind::Repeated => Told::Repeated { total: count(0)? },
-        Kind::Transfer => Told::Transfer,
-        Kind::Overrun => Told::Overrun { total: count(0)? },
-        Kind::Bridged => Told::Bridged { ms: number(0)? },
-        Kind::Note => Told::Note,
+        Kind::Repeated => LogEvent::Repeated { total: count(0)? },
+        Kind::Transfer => LogEvent::Transfer,
+        Kind::Overrun => LogEvent::Overrun { total: count(0)? },
+        Kind::Bridged => LogEvent::Bridged { ms: number(0)? },
+        Kind::Note => LogEvent::Note,
     })
 }
 
@@ -512,55 +512,57 @@ mod tests {
     use super::*;
 
     /// What a line of an event must be read as. Exhaustive on purpose: who adds an event adds an example above.
-    fn expected(event: &Event) -> Told {
+    fn expected(event: &Event) -> LogEvent {
         match *event {
-            Event::Mode { to, .. } => Told::Mode(to),
+            Event::Mode { to, .. } => LogEvent::Mode(to),
             Event::Imu(_)
             | Event::Encoder
             | Event::Inspected(_)
             | Event::Noisy(_)
             | Event::Calibrated { .. }
             | Event::Homed { .. }
-            | Event::Slipped { .. } => Told::Note,
+            | Event::Slipped { .. } => LogEvent::Note,
             Event::Alignment(told) => match told {
-                Alignment::CoarseDone { heading_deg, sd_deg } => Told::Coarse {
+                Alignment::CoarseDone { heading_deg, sd_deg } => LogEvent::Coarse {
                     heading_deg: heading_deg.into(),
                     sd_deg: sd_deg.into(),
                 },
-                Alignment::CaughtUp | Alignment::Aligned | Alignment::Collecting => Told::Note,
+                Alignment::CaughtUp | Alignment::Aligned | Alignment::Collecting => LogEvent::Note,
                 Alignment::HeadingSd { .. } | Alignment::Ambiguous { .. } | Alignment::Inconsistent { .. } => {
-                    Told::NotAligned
+                    LogEvent::NotAligned
                 }
-                Alignment::Bridged { ms } => Told::Bridged { ms: ms.into() },
+                Alignment::Bridged { ms } => LogEvent::Bridged { ms: ms.into() },
                 Alignment::RestartedCoarse
                 | Alignment::RestartedGap { .. }
                 | Alignment::RestartedBadSample
                 | Alignment::RestartedDiverged
                 | Alignment::UnderWay { .. }
-                | Alignment::Elsewhere { .. } => Told::AlignsAnew,
+                | Alignment::Elsewhere { .. } => LogEvent::AlignsAnew,
             },
-            Event::GyrosCalibrated(_) | Event::GyroBiases(_) | Event::NotCalibrated(_) => Told::Note,
-            Event::NavigationEnded(_) => Told::AlignsAnew,
-            Event::Fault(fault) => Told::Fault {
+            Event::GyrosCalibrated(_) | Event::GyroBiases(_) | Event::NotCalibrated(_) => LogEvent::Note,
+            Event::NavigationEnded(_) => LogEvent::AlignsAnew,
+            Event::Fault(fault) => LogEvent::Fault {
                 name: fault.name().to_owned(),
                 text: String::new(),
             },
-            Event::Retry { attempt } => Told::Retry {
+            Event::Retry { attempt } => LogEvent::Retry {
                 attempt: attempt.into(),
             },
-            Event::Latched => Told::Latched,
-            Event::Lost { samples, tally } => Told::Lost {
+            Event::Latched => LogEvent::Latched,
+            Event::Lost { samples, tally } => LogEvent::Lost {
                 samples: samples.into(),
                 total: tally.lost,
             },
-            Event::Repeated { tally } => Told::Repeated { total: tally.repeated },
-            Event::Transfer(_) => Told::Transfer,
-            Event::Overrun { samples } => Told::Overrun { total: samples },
-            Event::Command(_) | Event::Refused { .. } | Event::Report(Report { attitude_deg: None, .. }) => Told::Note,
+            Event::Repeated { tally } => LogEvent::Repeated { total: tally.repeated },
+            Event::Transfer(_) => LogEvent::Transfer,
+            Event::Overrun { samples } => LogEvent::Overrun { total: samples },
+            Event::Command(_) | Event::Refused { .. } | Event::Report(Report { attitude_deg: None, .. }) => {
+                LogEvent::Note
+            }
             Event::Report(Report {
                 attitude_deg: Some([heading, pitch, roll, sd]),
                 ..
-            }) => Told::Estimate(Attitude {
+            }) => LogEvent::Estimate(Attitude {
                 heading_deg: heading.into(),
                 heading_sd_deg: sd.into(),
                 pitch_deg: pitch.into(),
@@ -715,18 +717,20 @@ mod tests {
     }
 
     /// The same but for a fault's text, and for the digits that are not printed.
-    fn alike(found: &Told, expected: &Told) -> bool {
+    fn alike(found: &LogEvent, expected: &LogEvent) -> bool {
         let near = |a: f64, b: f64| (a - b).abs() <= 0.051 + 1e-6 * b.abs();
         match (found, expected) {
-            (Told::Fault { name, text }, Told::Fault { name: expected, .. }) => name == expected && !text.is_empty(),
+            (LogEvent::Fault { name, text }, LogEvent::Fault { name: expected, .. }) => {
+                name == expected && !text.is_empty()
+            }
             (
-                Told::Coarse { heading_deg, sd_deg },
-                Told::Coarse {
+                LogEvent::Coarse { heading_deg, sd_deg },
+                LogEvent::Coarse {
                     heading_deg: heading,
                     sd_deg: sd,
                 },
             ) => near(*heading_deg, *heading) && near(*sd_deg, *sd),
-            (Told::Bridged { ms }, Told::Bridged { ms: expected }) => near(*ms, *expected),
+            (LogEvent::Bridged { ms }, LogEvent::Bridged { ms: expected }) => near(*ms, *expected),
             _ => found == expected,
         }
     }
@@ -739,10 +743,10 @@ mod tests {
             n in any::<u16>(),
             m in any::<u16>(),
         ) {
-            let wording = Wording::learn();
+            let parser = LogParser::learn();
             for event in events(x, y, n, m) {
                 let line = event.to_string();
-                let found = wording.read(&line);
+                let found = parser.read(&line);
                 prop_assert!(
                     found.as_ref().is_some_and(|found| alike(found, &expected(&event))),
                     "{line}: {found:?}"
@@ -752,7 +756,7 @@ mod tests {
 
         #[test]
         fn any_text_is_read_or_not(text in any::<String>()) {
-            let _ = Wording::learn().read(&text);
+            let _ = LogParser::learn().read(&text);
         }
     }
 
@@ -770,7 +774,7 @@ mod tests {
     /// The lines that are no events.
     #[test]
     fn the_first_lines_are_understood() {
-        let wording = Wording::learn();
+        let parser = LogParser::learn();
         for cause in [ResetCause::PowerOn, ResetCause::BrownOut, ResetCause::Pin] {
             for asked in [false, true] {
                 let line = Start {
@@ -780,7 +784,7 @@ mod tests {
                 }
                 .to_string();
                 assert!(
-                    matches!(wording.read(&line), Some(Told::Started { cause: told }) if told.starts_with(&cause.to_string())),
+                    matches!(parser.read(&line), Some(LogEvent::Started { cause: told }) if told.starts_with(&cause.to_string())),
                     "{line}"
                 );
             }
@@ -788,24 +792,24 @@ mod tests {
         // As they are in `app::log`.
         let source = include_str!("../../../firmware/crates/app/src/log.rs");
         for (text, told) in [
-            (format!("{VERSION}{{}}"), Told::Version),
-            (format!("{SETTINGS}{{}} {{}}"), Told::Note),
+            (format!("{VERSION}{{}}"), LogEvent::Version),
+            (format!("{SETTINGS}{{}} {{}}"), LogEvent::Note),
         ] {
             assert!(source.contains(&format!("\"{text}\"")), "{text}");
-            assert_eq!(wording.read(&text.replace("{}", "x")), Some(told), "{text}");
+            assert_eq!(parser.read(&text.replace("{}", "x")), Some(told), "{text}");
         }
     }
 
     #[test]
     fn the_line_of_a_second_is_read_back() {
-        let wording = Wording::learn();
+        let parser = LogParser::learn();
         let report = |attitude_deg| {
             let report = Report {
                 mode: ModeName::Navigating,
                 attitude_deg,
                 rotor_deg: Some(-12.34),
             };
-            wording.read(&Event::Report(report).to_string())
+            parser.read(&Event::Report(report).to_string())
         };
         let attitude = Attitude {
             heading_deg: 5.68,
@@ -815,14 +819,14 @@ mod tests {
         };
         assert_eq!(
             report(Some([5.678, -0.061, 11.996, 0.349_7])),
-            Some(Told::Estimate(attitude))
+            Some(LogEvent::Estimate(attitude))
         );
-        assert_eq!(report(None), Some(Told::Note));
+        assert_eq!(report(None), Some(LogEvent::Note));
     }
 
     #[test]
     fn columns_may_change() {
-        let wording = Wording::learn();
+        let parser = LogParser::learn();
         let attitude = Attitude {
             heading_deg: 5.5,
             heading_sd_deg: 0.25,
@@ -833,13 +837,13 @@ mod tests {
             "heading   5.50 deg  sd 0.250 deg  pitch  -1.00 deg  roll   2.00 deg",
             "aligned  heading=5.5 sd=0.25 pitch=-1 roll=2e0",
         ] {
-            assert_eq!(wording.read(line), Some(Told::Estimate(attitude)), "{line}");
+            assert_eq!(parser.read(line), Some(LogEvent::Estimate(attitude)), "{line}");
         }
-        assert_eq!(wording.read("heading inf deg, sd 1; pitch 0, roll 0"), None);
+        assert_eq!(parser.read("heading inf deg, sd 1; pitch 0, roll 0"), None);
         assert_eq!(
-            wording.read("mode   fine     ->   aligned"),
-            Some(Told::Mode(ModeName::Aligned))
+            parser.read("mode   fine     ->   aligned"),
+            Some(LogEvent::Mode(ModeName::Aligned))
         );
-        assert_eq!(wording.read("mode fine -> lunch"), None);
+        assert_eq!(parser.read("mode fine -> lunch"), None);
     }
 }

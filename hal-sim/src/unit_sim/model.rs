@@ -20,9 +20,9 @@ const CABLE_ROOM: f64 = 15.0 * DEG;
 /// Longest time between two samples that tell the base's acceleration, s.
 const NEIGHBOURS_S: f64 = 0.02;
 
-/// The motor with its load as the seed makes it.
+/// The unit's mechanics as drawn from the seed: the motor with its load.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Made {
+pub struct UnitModel {
     /// Its figures.
     pub plant: PlantConfig,
     /// Where the rotor stands at power-up, rad.
@@ -31,7 +31,7 @@ pub struct Made {
     pub encoder_seed: u64,
 }
 
-impl Made {
+impl UnitModel {
     /// The motor the seed gives for a scenario: a home switch in the middle of the travel, a cable with some room.
     pub fn new(scenario: &Scenario, seed: u64) -> Self {
         let mut start = stream(seed, Stream::RotorStart);
@@ -92,7 +92,7 @@ impl Made {
 /// sampling some milliseconds apart get the same noise for the same stretch of time, and can be compared run by run.
 /// Samples of another rate, from a part that is still starting, have a generator of their own.
 #[derive(Debug, Clone)]
-pub struct Exposure {
+pub struct SensorSampler {
     truth: Truth,
     period: f64,
     errors: Imu,
@@ -105,7 +105,7 @@ pub struct Exposure {
     base: Option<(f64, f64)>,
 }
 
-impl Exposure {
+impl SensorSampler {
     /// The IMU the seed gives for a scenario, on the base that moves as `truth`.
     pub fn new(scenario: &Scenario, seed: u64, truth: &Truth) -> Self {
         let base_periods = u32::from(adis16495::Config::default().dec_rate) + 1;
@@ -182,8 +182,8 @@ mod tests {
         let scenario = Scenario::builtin("paper-sim").unwrap();
         let truth = Truth::new(&scenario, 3).unwrap();
         let noise = |first: f64, samples: u32| {
-            let mut exposure = Exposure::new(&scenario, 3, &truth);
-            let mut plant = Made::new(&scenario, 3).build();
+            let mut sampler = SensorSampler::new(&scenario, 3, &truth);
+            let mut plant = UnitModel::new(&scenario, 3).build();
             let rest = RotorState {
                 angle: plant.angle(),
                 rate: 0.0,
@@ -191,15 +191,15 @@ mod tests {
             };
             (0..samples)
                 .map(|k| {
-                    let t0 = first + f64::from(k) * exposure.period;
-                    let t1 = t0 + exposure.period;
+                    let t0 = first + f64::from(k) * sampler.period;
+                    let t1 = t0 + sampler.period;
                     let (exact, _) = truth.increment_driven((t0, rest), (t1, rest));
-                    let measured = exposure.sample((t0, rest), (t1, rest), &mut plant);
+                    let measured = sampler.sample((t0, rest), (t1, rest), &mut plant);
                     (measured.dtheta_s - exact).x()
                 })
                 .collect::<Vec<_>>()
         };
-        let period = Exposure::new(&scenario, 3, &truth).period;
+        let period = SensorSampler::new(&scenario, 3, &truth).period;
         let (early, late) = (noise(1.0, 200), noise(1.0 + 100.2 * period, 100));
         for (a, b) in early[100..].iter().zip(&late) {
             assert!((a - b).abs() < 1e-9, "{a} {b}");

@@ -15,7 +15,7 @@ const HEADER_EVERY_US: u64 = 1_000_000;
 
 /// See the [module](self).
 #[derive(Debug)]
-pub struct Tap {
+pub struct SampleRecorder {
     recorder: Recorder,
     noise: ImuNoise,
     schedule: RotorConfig,
@@ -30,7 +30,7 @@ pub struct Tap {
     skipped: u16,
 }
 
-impl Tap {
+impl SampleRecorder {
     /// With the figures that the aligner has been given.
     pub const fn new(noise: ImuNoise, schedule: RotorConfig, place: Position) -> Self {
         Self {
