@@ -52,7 +52,7 @@ impl Method {
     }
 }
 
-/// What the aligner is told.
+/// Configuration of the aligner.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setup {
     /// Geodetic latitude, degrees, north positive.

@@ -67,7 +67,7 @@ impl DataReady {
         let (mut rise_ns, mut fall_ns) = (u64::MAX, u64::MAX);
         loop {
             poll_fn(|cx| {
-                // The next sample moves when the part is told so over its bus.
+                // The next sample moves when the part is commanded so over its bus.
                 let planned_us = part.with(|model| model.next_ready_us());
                 if planned_us != next_us {
                     next_us = planned_us;

@@ -26,7 +26,7 @@ pub(super) const WINDOW: usize = 1 << 14;
 const GAP_FACTOR: f64 = 1.5;
 /// Intervals this near to the nominal one, as a part of it, are that one.
 const EVEN: f64 = 0.1;
-/// Rows before and after a long interval by which loss is told from jitter.
+/// Rows before and after a long interval by which loss is distinguished from jitter.
 const LEAST_AROUND: usize = 256;
 const MOST_AROUND: usize = 1024;
 /// Intervals this near to each other are not spread by chance.
@@ -38,7 +38,7 @@ const ANY_LENGTH: f64 = 5.5;
 /// A rate that was changed holds for so many rows, and is not this many times another.
 const RATE_ROWS: usize = 100;
 const MOST_RATES: f64 = 10.0;
-/// Rows by whose median interval a gap is told where the rate changes.
+/// Rows by whose median interval a gap is recognised where the rate changes.
 const LOCAL: usize = 9;
 /// A clock that was set while it recorded leaps by more, s.
 const LEAP: f64 = 1000.0;
@@ -456,7 +456,7 @@ impl Clock {
     }
 
     fn spaced_anew(&mut self, t: &[f64], lines: &[u64], give: usize, pattern: bool) -> Vec<When> {
-        // With the rows before them, by which loss is told.
+        // With the rows before them, by which loss is recognised.
         let before = self.past.len();
         let all: Vec<f64> = self.past.iter().chain(t).copied().collect();
         let steps = intervals(&all);

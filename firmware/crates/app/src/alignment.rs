@@ -36,7 +36,7 @@ use crate::shared::{Navigation, Shared};
 const IDLE: Duration = Duration::from_millis(10);
 /// Faster than this, m/s, a base is under way: receivers that stand say up to 0.3.
 const UNDER_WAY: f32 = 0.5;
-/// At so many instants in a row a receiver says so before it is believed.
+/// Consecutive fixes that must agree before they are accepted.
 const SURE: u8 = 2;
 /// Sentences closer to each other than this are of one instant, µs: RMC and VTG come one after the other.
 pub(crate) const INSTANT_US: u64 = 80_000;
@@ -343,7 +343,7 @@ impl Ground {
     }
 }
 
-/// Fixes in a row that must agree before they are believed against dead reckoning.
+/// Consecutive fixes that must agree before they are accepted against dead reckoning.
 pub(crate) const AGREE: u8 = 3;
 /// A fix that contradicts dead reckoning is in doubt for this long where no other follows, µs.
 pub(crate) const DOUBT_US: u64 = 10_000_000;
@@ -441,7 +441,7 @@ impl Doubt {
 }
 
 /// What a receiver says is taken by the navigator; an alignment starts anew where the base is under way, and where the place
-/// `in_force`, once the receiver's word has become that, is another than it goes by.
+/// `in_force`, once the receiver's fix has become that, is another than it goes by.
 #[expect(
     clippy::too_many_arguments,
     reason = "each belongs to the task, and none with another"

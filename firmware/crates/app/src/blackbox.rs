@@ -639,7 +639,7 @@ impl<M: Memory> BlackBox<M> {
         self.life.rests
     }
 
-    /// It is told to rest, or is not any more.
+    /// It is commanded to rest, or is not any more.
     pub fn rest(&mut self, rests: bool) {
         if self.life.rests != rests {
             self.life.rests = rests;

@@ -1,8 +1,8 @@
-//! What the unit is told, and what it calls its modes: the words that log, modes and wire share.
+//! Commands to the unit and names of its modes, shared by log, modes and wire.
 
 use frames::wording;
 
-/// What the unit is told to do.
+/// A command to the unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Command {
     /// Stop the rotor and rest.

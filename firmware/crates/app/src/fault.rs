@@ -1,7 +1,7 @@
 //! Faults of the unit, and the rule for each: found within what time, and what happens next.
 //!
 //! Whatever the fault, the motor goes off first: whoever finds it raises it
-//! ([`Shared::raise`](crate::shared::Shared::raise)), which inhibits the motor at once; the motor task obeys
+//! ([`Shared::raise`](crate::shared::Shared::raise)), which inhibits the motor at once; the motor task executes that
 //! at its next tick at the latest, and the supervisor cuts the outputs past it. Then it is reported, then
 //! the [`Response`] of its [`Rule`] follows.
 //!

@@ -13,7 +13,7 @@
 //! | [`alignment`] | samples → estimates |
 //! | [`supervisor`] | modes, faults, check-ins, watchdog |
 //! | [`blackbox`] | what a reset must not wipe out, pure |
-//! | [`command`] | what the unit is told, and its modes' names |
+//! | [`command`] | commands to the unit, and its modes' names |
 //! | [`mode`] | the modes' step function, pure |
 //! | [`fault`] | faults and the rule for each |
 //! | [`selftest`] | what must hold before anything turns |
@@ -37,7 +37,7 @@
 //! [`alignment::run`], [`supervisor::run`], [`output::run`], [`console::run`], [`report::run`] and [`panel::run`].
 //!
 //! A fault takes three ways at once, so that the motor is off whatever hangs: whoever finds it inhibits the motor
-//! (the motor's loop obeys at its next tick), the supervisor cuts the outputs past the loop, and a supervisor that
+//! (the motor's loop executes it at its next tick), the supervisor cuts the outputs past the loop, and a supervisor that
 //! does not run no longer feeds the watchdog.
 #![no_std]
 

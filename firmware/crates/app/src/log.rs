@@ -359,12 +359,12 @@ pub enum Alignment {
     RestartedBadSample,
     /// Starts anew: the filter diverged.
     RestartedDiverged,
-    /// Starts anew, once the base stands: it is under way, by a receiver's word.
+    /// Starts anew, once the base stands: it is under way, by a receiver's fixes.
     UnderWay {
         /// m/s.
         speed: f32,
     },
-    /// Starts anew: the place is another, by a receiver's word.
+    /// Starts anew: the place is another, by a receiver's fixes.
     Elsewhere {
         /// Latitude there, degrees.
         latitude_deg: f32,

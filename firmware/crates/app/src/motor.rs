@@ -1,6 +1,6 @@
 //! The motor's loop: encoder, rotor control, bridge, at the period of the rotor's configuration.
 //!
-//! One tick: read, correct, control, put out. The outputs are off before anything is told; they go on only in a tick
+//! One tick: read, correct, control, put out. The outputs are off before anything is reported; they go on only in a tick
 //! that has looked at [`Shared::inhibited`] after its reading, and waits for nothing from there on.
 
 use drivers::harmonics::Harmonics;

@@ -463,7 +463,7 @@ mod tests {
             let mut line: Vec<u8> = framed("GPRMC,083559.00,A,4717.11437,N,00833.91522,E,0.004,77.52,091202,,,A").into();
             let whole = parse(&line).unwrap();
             line[at] ^= flip;
-            // An `a` for an `A` in the check sum is the same number; blanks at its end are none.
+            // An `a` for an `A` in the check sum is the same number; blanks at its end are not.
             prop_assert!(parse(&line).is_err() || parse(&line) == Ok(whole), "{}", line.escape_ascii());
         }
     }

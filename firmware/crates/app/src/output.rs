@@ -5,7 +5,7 @@
 //! its way through the task, and where the base swings by 10 °/s the 50 ms to the next estimate would be half a degree.
 //! Without estimates it begins by the clock.
 //!
-//! How a calibration of the gyros ended is told by TXT, before the cycle whose status shows that it has ended: once, and
+//! How a calibration of the gyros ended is reported by TXT, before the cycle whose status shows that it has ended: once, and
 //! again only where the line did not take it.
 //!
 //! # When a heading is valid
@@ -770,7 +770,7 @@ mod tests {
         run_to(&mut unit, 600_200);
         assert_eq!(last(&line), "");
         shared.set_clock(ClockSource::Crystal);
-        // Also where no estimate is told.
+        // Also where no estimate is sent.
         shared.status.sender().send(status(ModeName::Idle));
         run_to(&mut unit, 600_400);
         assert_eq!(last(&line), "000957.30");

@@ -239,7 +239,7 @@ impl Monitor {
     }
 }
 
-/// The task. Waits to be told to start the IMU, then samples until it is told again.
+/// The task. Waits for the request to start the IMU, then samples until the next request.
 ///
 /// Every fault is raised once; then the task goes on sampling, for the log and the check-in, until the next start.
 pub async fn run<M: RawMutex, I: Imu, E: EdgeCapture>(

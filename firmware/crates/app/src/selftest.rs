@@ -31,7 +31,7 @@ use crate::fixed_decimal::{deg, deg_h, fixed_decimal};
 /// | `rest_rate_sd` | rad/s | never judged to be at rest | 0.05 °/s |
 /// | `rest_rate_max` | rad/s | rest never passes | 15 °/h and 5σ of three biases |
 /// | `rate_max` | rad/s | nothing passes | 100 °/s |
-/// | `angle_random_walk` | rad/√s | always warned | what the filter is told |
+/// | `angle_random_walk` | rad/√s | always warned | the filter's figure |
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InspectionConfig {
     /// Samples looked at.

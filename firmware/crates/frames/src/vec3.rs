@@ -21,7 +21,7 @@ impl<F: Frame, T: Real> Vec3<F, T> {
         Self::from_vector(Vector3::new(x, y, z))
     }
 
-    /// A bare vector, by the caller's word resolved in `F`.
+    /// A bare vector; the caller asserts that it is resolved in `F`.
     #[inline]
     pub fn from_vector(v: Vector3<T>) -> Self {
         Self { v, frame: PhantomData }

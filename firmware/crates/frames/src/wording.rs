@@ -1,9 +1,9 @@
-//! One text for both ways it is told.
+//! One text for both formatters, `core::fmt` and `defmt`.
 
 /// Makes a type's `Display`, for a host, and under the caller's feature `defmt` its `defmt::Format`, for the target, from
 /// one body: so the two cannot differ.
 ///
-/// The body is told the type's `self`, and a macro that says a piece of the text. What it says is a format string as both
+/// The body gets the type's `self`, and a macro that writes a piece of the text. What it says is a format string as both
 /// understand it: `{}`, `{:?}`, `{:02}`, `{:#06x}`, and arguments behind it. No precision: defmt prints an `f32` with all
 /// its digits.
 ///

@@ -35,7 +35,7 @@ use nalgebra::Vector3;
 /// | `gate` | σ | refused | 6 |
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AdaptiveNoiseConfig<T: Real = f32> {
-    /// 1σ of displacement below which no base is believed to stay, m.
+    /// Lower limit of the 1σ of displacement, m.
     pub least_sd: T,
     /// Where the estimate starts, m: a deck. A floor shows in seconds that it is none; a filter that begins with a
     /// floor on a deck has been led astray by then.
@@ -153,7 +153,7 @@ const LEFT_GAIN: f64 = 0.2;
 /// that p and r are too large both, and larger ones that something has changed, which need not be the base.
 const MOST_OVER_LEFT: f64 = 10.0;
 
-/// Refusals in a row after which the base is believed to have begun to move.
+/// Consecutive refusals after which the base has begun to move.
 const MOST_REFUSED: u8 = 3;
 
 /// The estimated measurement noise of displacement.

@@ -64,7 +64,7 @@ const SETTLED: f64 = 1.0 * units::DEG;
 const SETTLED_LEVEL: f64 = 0.02 * units::DEG;
 
 /// Turn by the 1σ of a gyro bias over the queue beyond which there is one pass, rad. What the model leaves out is more then
-/// than another pass would gain, and a second one begins with a trust in the base that has no room for it.
+/// than another pass would gain, and a second one begins with a measurement noise that has no room for it.
 const LARGEST_TURN: f64 = 10.0 * units::DEG;
 
 /// 1σ of a heading that may be any, rad: 2π/√12.
@@ -615,7 +615,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
 
     /// Takes one sample and the rotor angle α at its end, rad.
     ///
-    /// At most one event a step is told; of two, the one that says more.
+    /// A step returns at most one event; of two, the one with more information.
     pub fn step(&mut self, sample: &Sample<T>, alpha: T) -> Option<Event<T>> {
         if !(sample.is_valid() && alpha.finite()) {
             return Some(self.restart(Restart::BadSample));

@@ -20,7 +20,7 @@
 //! A base that yaws at a constant rate and a gyro with a bias are the same thing to z. No test of z tells one from the
 //! other, so that a base is never believed not to yaw because it is quiet: that it is fixed to Earth (a floor, a pillar, a
 //! tripod on the ground) is said by configuration, with [`EncoderConstraint`](crate::fine::EncoderConstraint) in
-//! [`FilterConfig`](crate::fine::FilterConfig). What is said is not taken on trust either. The measurement is taken only
+//! [`FilterConfig`](crate::fine::FilterConfig). What is configured is checked as well. The measurement is taken only
 //! after [`SETTLE`] in a row in which nothing speaks against it:
 //!
 //! - the base does not tilt: no faster than `still_rate`. A ship that rolls by 0.2° in 8 s does so by 2.7 mrad/s, and is

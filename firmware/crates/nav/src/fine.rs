@@ -108,7 +108,7 @@ pub struct FilterConfig<T: Real = f32, const B: usize = ROBUST> {
     /// 1σ of heading at the start, rad. Wide on purpose: the coarse result that the filter starts from
     /// comes from the same samples, and is a point to linearise about, not a second opinion.
     pub heading_sd: T,
-    /// 1σ of the latitude that the filter is told, rad, where δω is estimated.
+    /// 1σ of the configured latitude, rad, where δω is estimated.
     pub latitude_sd: T,
     /// What is known already of the gyro error that is constant in the housing, for a filter with all blocks.
     pub deviation: Option<Deviation<T>>,
@@ -915,7 +915,7 @@ impl<T: Real, const B: usize> FineFilter<T, B> {
         self.covariance.is_sound() && self.strapdown.is_finite()
     }
 
-    /// How far the base is believed to stand still.
+    /// Estimated measurement noise of the base's displacement.
     pub fn adaptive_noise(&self) -> &AdaptiveNoise<T> {
         &self.adaptive_noise
     }
@@ -1445,7 +1445,7 @@ mod tests {
         assert!((behind - 9.0).abs() < 0.5, "{behind}");
     }
 
-    /// A knock that is gone a second later is refused and counted; a base that begins to sway is soon believed.
+    /// A knock that is gone a second later is refused and counted; a base that begins to sway is soon followed.
     #[test]
     fn knocks_are_refused_and_sway_is_learnt() {
         let mut filter = filter::<ROBUST>(Method::Kalman);

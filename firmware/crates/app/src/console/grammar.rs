@@ -520,7 +520,7 @@ pub struct LineBuffer {
     refused: Option<LineError>,
     /// The byte before: two make the head of a u-blox frame.
     last: u8,
-    /// Binary frames of a receiver are under way, whose line ends are none: no error is answered before the next sentence.
+    /// Binary frames of a receiver are under way, whose line ends do not count: no error is answered before the next sentence.
     binary: bool,
 }
 
@@ -842,7 +842,7 @@ mod tests {
             }
         }
 
-        /// Whatever is set, all settings stay in their ranges, and what is refused is told within a line.
+        /// Whatever is set, all settings stay in their ranges, and what is refused is answered within a line.
         #[test]
         fn no_setting_is_impossible(nth in 0..SETTINGS.len(), value in any::<f32>()) {
             let (setting, before) = (&SETTINGS[nth], Settings::default());

@@ -11,7 +11,7 @@ use crate::rotor::Side;
 use crate::selftest::InspectionConfig;
 use crate::shared::Shared;
 
-/// What is told, in the order of bringing up.
+/// The facts, in the order of bringing up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Fact {
     Clock,

@@ -21,7 +21,7 @@
 //! record on                every sample between the sentences, for a replay; or off
 //! ```
 //!
-//! How a line is read is [`parse`]'s and [`LineBuffer`]'s, and pure; [`run`] is the task, which obeys and keeps the settings.
+//! How a line is read is [`parse`]'s and [`LineBuffer`]'s, and pure; [`run`] is the task, which executes commands and keeps the settings.
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::{Instant, Timer};
@@ -99,9 +99,9 @@ struct Keep {
 }
 
 impl Keep {
-    /// Whether a place that is not the one kept is to be believed: one alone may be what a receiver says that has just been
+    /// Whether a place that is not the one kept is to be accepted: one alone may be what a receiver says that has just been
     /// switched on. 0°, 0° sharp never is, as receivers without a fix say it over and over.
-    fn believes(&mut self, place: Place, t_us: u64) -> bool {
+    fn accepts(&mut self, place: Place, t_us: u64) -> bool {
         let before = self
             .said
             .filter(|(said, at_us)| said.is_near(&place, KEEP_AWAY) && t_us.saturating_sub(*at_us) <= DOUBT_US);
@@ -120,7 +120,7 @@ impl Keep {
     }
 }
 
-/// Passes on what a receiver says, and keeps time and place once they are believed.
+/// Passes on what a receiver says, and keeps time and place once they are accepted.
 async fn handle_fix<M: RawMutex, F: NorFlash>(
     shared: &Shared<M>,
     store: &mut Store<F>,
@@ -143,7 +143,7 @@ async fn handle_fix<M: RawMutex, F: NorFlash>(
     let now_us = Instant::now().as_micros();
     if is_kept {
         keep.said = None;
-    } else if !keep.believes(place, now_us) {
+    } else if !keep.accepts(place, now_us) {
         return;
     }
     if let Some(said) = fix.time {

@@ -39,7 +39,7 @@ const REST_US: u32 = 100_000;
 const REST_TIMEOUT_US: u32 = 3_000_000;
 /// Period of the probing field, µs.
 const PROBE_US: u32 = 25_000;
-/// Amplitude of the trembling that is believed, rad: 25 times the noise of the encoder.
+/// Smallest amplitude of the trembling that is accepted, rad: 25 times the noise of the encoder.
 const TREMBLE: f32 = 5e-4;
 /// Cycles averaged in each direction, after one that is not.
 const PROBE_CYCLES: u8 = 3;

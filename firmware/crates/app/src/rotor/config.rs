@@ -240,7 +240,7 @@ impl Default for CalibrationConfig {
     }
 }
 
-/// Everything the rotor's control is told.
+/// Configuration of the rotor's control.
 ///
 /// | field | unit | zero means | sane value |
 /// |---|---|---|---|

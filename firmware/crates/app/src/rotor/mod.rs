@@ -13,7 +13,7 @@
 //! ```
 //!
 //! `d`, the acceleration the model does not explain, stands in the place of an integrator. It does not wind up: the
-//! observer is told of the voltage that was put out, not of the one that was wanted.
+//! observer gets the voltage that was applied, not the requested one.
 //!
 //! # Which turn is it? The cable and the home switch
 //!
@@ -135,7 +135,7 @@ pub enum Side {
     Above,
 }
 
-/// What a tick is told.
+/// Inputs of a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Inputs {
     /// Corrected reading of the encoder in [0, 2π), rad. `None` for one that failed.

@@ -52,7 +52,7 @@ pub struct Ripple {
 }
 
 impl Ripple {
-    /// Nothing learned yet, but the friction one believes in, Nm, and the most a cell may hold, Nm.
+    /// Nothing learned yet; the assumed friction, Nm, and the most a cell may hold, Nm.
     pub const fn new(coulomb: f32, limit: f32) -> Self {
         Self {
             cells: [0.0; CELLS],

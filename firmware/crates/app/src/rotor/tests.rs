@@ -1,4 +1,4 @@
-//! Transitions and faults, on a rotor that does exactly as it is told. The real one is in hal-sim.
+//! Transitions and faults, on a rotor that follows its commands exactly. The real one is in hal-sim.
 
 use super::*;
 
@@ -606,7 +606,7 @@ fn calibration_without_motion() {
 fn feeds_the_model_forward() {
     let mut ideal = Ideal::homed(1.0);
     ideal.rotor.command(Command::Run).unwrap();
-    // 60 ms into the ramp. Later the integrator notices that this rotor does not heed it.
+    // 60 ms into the ramp. Later the integrator notices that this rotor does not follow it.
     let out = (0..60).map(|_| ideal.tick()).last().unwrap();
     let s = out.set_point.unwrap();
     let m = ideal.rotor.config().motor;
