@@ -41,6 +41,10 @@ pub(crate) const MOTOR_FAULT: Pin = Pin::new('E', 15);
 pub(crate) const MOTOR_ENABLE: Pin = Pin::new('F', 15);
 pub(crate) const HOME_BELOW: Pin = Pin::new('F', 13);
 pub(crate) const HOME_ABOVE: Pin = Pin::new('F', 14);
+pub(crate) const BUTTON: Pin = Pin::new('C', 13);
+pub(crate) const LAMP_GREEN: Pin = Pin::new('B', 0);
+pub(crate) const LAMP_BLUE: Pin = Pin::new('B', 7);
+pub(crate) const LAMP_RED: Pin = Pin::new('B', 14);
 
 /// The board.
 #[derive(Debug)]

@@ -17,7 +17,7 @@ use emulator::nmea::{self, Sentence};
 use emulator::outcome::{Outcome, Verdict};
 use emulator::part::BridgeTimer;
 use emulator::report;
-use emulator::run::{self, Observer, PowerCut, Setup, Typed};
+use emulator::run::{self, Observer, PowerCut, Press, Setup, Typed};
 use hal_sim::align::{Angles, Method};
 use hal_sim::scenario::{FaultAt, FaultKind, Scenario};
 use hal_sim::unit_sim;
@@ -30,6 +30,8 @@ use serde::de::{Deserialize as _, IntoDeserializer as _};
 const BAD_INPUT: u8 = 2;
 /// How long a power cut lasts where nothing else is said, s.
 const CUT_S: f64 = 1.0;
+/// Length of a press of the button without a length, s.
+const PRESS_S: f64 = 0.3;
 
 /// Runs the release image on an emulated STM32F427, with the simulator's devices, motor and swinging base.
 #[derive(Parser)]
@@ -55,6 +57,9 @@ struct Cli {
     /// Type a line on the serial port: AT in s, a blank, the line
     #[arg(long = "type", value_name = "AT LINE", value_parser = typed)]
     typed: Vec<Typed>,
+    /// Press the button: AT or AT,FOR in s. A short press stops the rotor, one of two seconds starts it
+    #[arg(long, value_name = "PRESS")]
+    press: Vec<Timed<()>>,
     /// The settings' flash, bank 2 sectors 12 to 15: what the file holds, if it is there, and what is left goes into it
     #[arg(long, value_name = "FILE")]
     flash: Option<PathBuf>,
@@ -339,9 +344,14 @@ fn setup(cli: &Cli) -> Result<Setup, String> {
         at_s: cut.at_s,
         for_s: cut.for_s.unwrap_or(CUT_S),
     });
+    let presses = cli.press.iter().map(|press| Press {
+        at_s: press.at_s,
+        for_s: press.for_s.unwrap_or(PRESS_S),
+    });
     Ok(Setup {
         power_cuts: power_cuts.collect(),
         typed: cli.typed.clone(),
+        presses: presses.collect(),
         timer: if cli.full_timer {
             BridgeTimer::Full
         } else {

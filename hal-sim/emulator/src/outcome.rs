@@ -116,6 +116,17 @@ pub enum Verdict {
     Gaps,
 }
 
+/// What is lit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Lamps {
+    /// Heading.
+    pub green: bool,
+    /// Motor.
+    pub blue: bool,
+    /// Fault.
+    pub red: bool,
+}
+
 /// How a run ended.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Outcome {
@@ -138,6 +149,8 @@ pub struct Outcome {
     /// The last estimate.
     #[serde(rename = "final")]
     pub last: Option<Moment>,
+    /// The lamps at the end.
+    pub lamps: Lamps,
     /// Whether the cable was wound past what it bears.
     pub wound_past: bool,
     /// Least and greatest angle of the rotor, degrees.

@@ -57,7 +57,7 @@ use crate::image::Image;
 use crate::load::Meter;
 use crate::log::{Line, Reader};
 use crate::nmea::{self, LineEvent, Sentence, Splitter};
-use crate::outcome::{Cost, FaultSeen, Gaps, Moment, Outcome, ResetSeen, Verdict};
+use crate::outcome::{Cost, FaultSeen, Gaps, Lamps, Moment, Outcome, ResetSeen, Verdict};
 use crate::part::{BridgeTimer, flash};
 use crate::stack::Stack;
 
@@ -77,6 +77,15 @@ const RAM: [(u64, u64); 2] = [(0x2000_0000, 192 * 1024), (0x1000_0000, 64 * 1024
 /// A power cut.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PowerCut {
+    /// When, s.
+    pub at_s: f64,
+    /// For how long, s.
+    pub for_s: f64,
+}
+
+/// A press of the button.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Press {
     /// When, s.
     pub at_s: f64,
     /// For how long, s.
@@ -105,6 +114,8 @@ pub struct Setup {
     pub power_cuts: Vec<PowerCut>,
     /// Lines typed on the serial port.
     pub typed: Vec<Typed>,
+    /// Presses of the button.
+    pub presses: Vec<Press>,
     /// What is in the settings' sectors, [`board::SETTINGS`], at the beginning; where nothing is said, what
     /// [`hal_sim::unit_sim`]'s unit is told of the scenario: place, rotor and IMU.
     pub flash: Option<Vec<u8>>,
@@ -125,6 +136,7 @@ impl Setup {
             seconds,
             power_cuts: Vec::new(),
             typed: Vec::new(),
+            presses: Vec::new(),
             flash: None,
             timer: BridgeTimer::default(),
             clock_hz: board::CRYSTAL_HZ,
@@ -230,6 +242,8 @@ struct World<O> {
     faults: VecDeque<Step>,
     supply: VecDeque<Supply>,
     typed: VecDeque<(u64, String)>,
+    /// When the button is closed, ns.
+    presses: Vec<Range<u64>>,
     powered: bool,
     bus_stuck: bool,
     hung: bool,
@@ -302,6 +316,11 @@ impl<O: Observer> World<O> {
             faults: fault::steps(&scenario.fault).into(),
             supply: supply.into(),
             typed: typed.into(),
+            presses: setup
+                .presses
+                .iter()
+                .map(|press| ns(press.at_s)..ns(press.at_s + press.for_s))
+                .collect(),
             powered: true,
             bus_stuck: false,
             hung: false,
@@ -385,6 +404,8 @@ impl<O: Observer> World<O> {
         let home = self.plant.home();
         part.drive(at, board::HOME_BELOW, level(home == Some(Side::Below)));
         part.drive(at, board::HOME_ABOVE, level(home == Some(Side::Above)));
+        let pressed = self.presses.iter().any(|press| press.contains(&at.0));
+        part.drive(at, board::BUTTON, level(pressed));
         let sound = level(!self.plant.faults.driver_fault);
         part.drive(at, board::MOTOR_FAULT, sound);
         part.drive_break(at, sound);
@@ -615,6 +636,13 @@ impl<O: Observer> World<O> {
     fn outcome(self, session: Session<Board>, image: &Image, setup: &Setup) -> (Outcome, O) {
         let mut session = session;
         let gaps = gaps(&session);
+        let part = &mut session.board_mut().part;
+        let mut lit = |lamp| part.level(lamp) == Level::High;
+        let lamps = Lamps {
+            green: lit(board::LAMP_GREEN),
+            blue: lit(board::LAMP_BLUE),
+            red: lit(board::LAMP_RED),
+        };
         let imu = session.board_mut().part.spi_chip::<Wired<Adis16495>>(board::IMU_SPI);
         let mut outcome = Outcome {
             scenario: setup.scenario.name.clone(),
@@ -626,6 +654,7 @@ impl<O: Observer> World<O> {
             faults: self.seen,
             resets: self.resets,
             last: self.last,
+            lamps,
             wound_past: self.plant.wound_past(),
             travel_deg: self.travel.map(f64::to_degrees),
             driven_after_reset: self.driven_after_reset,

@@ -9,9 +9,9 @@ use emulator::error::Error;
 use emulator::image::Image;
 use emulator::log::Line;
 use emulator::nmea::Sentence;
-use emulator::outcome::Outcome;
+use emulator::outcome::{Lamps, Outcome};
 use emulator::part::BridgeTimer;
-use emulator::run::{self, Observer, PowerCut, Setup, Typed};
+use emulator::run::{self, Observer, PowerCut, Press, Setup, Typed};
 use hal_sim::align::Method;
 use hal_sim::inspect::defmt::Elf;
 use hal_sim::inspect::timeline::{Source, Timeline};
@@ -311,6 +311,46 @@ fn without_a_clock_from_outside_the_unit_starts_by_its_own() {
     let (with, kept) = run(&Setup::new(paper(), 1, 1.0));
     assert!(with.modes[0].t_s < 0.05, "{:?}", with.modes);
     assert!(kept.lines.iter().all(|line| !line.contains("clock:")));
+}
+
+/// A short press stops the rotor, a long one starts it; the lamps say so. A button that is closed at the start does nothing.
+#[test]
+fn the_button_stops_and_starts_the_rotor() {
+    let pressed = |presses: &[(f64, f64)], seconds| {
+        let presses = presses.iter().map(|&(at_s, for_s)| Press { at_s, for_s }).collect();
+        let setup = Setup {
+            presses,
+            ..Setup::new(paper(), 1, seconds)
+        };
+        let (outcome, _) = run(&setup);
+        assert!(outcome.faults.is_empty() && outcome.resets.is_empty(), "{outcome:?}");
+        let modes: Vec<String> = outcome.modes.iter().map(|at| at.mode.to_string()).collect();
+        (modes, outcome.lamps)
+    };
+    let begun = ["self-test", "homing", "coarse"];
+
+    let (modes, lamps) = pressed(&[(0.0, 15.0)], 17.0);
+    assert_eq!(modes, begun);
+    assert!(lamps.blue && !lamps.red);
+
+    let (modes, lamps) = pressed(&[(15.0, 0.3)], 17.0);
+    assert_eq!(modes, [&begun[..], &["idle"]].concat());
+    assert_eq!(
+        lamps,
+        Lamps {
+            green: false,
+            blue: false,
+            red: false
+        }
+    );
+
+    let (modes, lamps) = pressed(&[(15.0, 0.3), (17.0, 2.5)], 20.0);
+    assert_eq!(modes[..4], [&begun[..], &["idle"]].concat());
+    assert!(
+        modes.len() > 4 && modes.last().is_some_and(|mode| mode != "idle"),
+        "{modes:?}"
+    );
+    assert!(lamps.blue && !lamps.red);
 }
 
 /// At 2.75 V the part runs, but is not written: words of 32 bits take 2.7, and the supply may fall on the way.

@@ -3,7 +3,7 @@
 //! | lamp | dark | blinks, every 0.8 s | steady |
 //! |---|---|---|---|
 //! | green | no heading is sought | on the way to one | aligned, navigating |
-//! | blue | the motor is off | | the motor may turn the rotor |
+//! | blue | the motor is off: idle, or cut off | | the motor may turn the rotor |
 //! | red | no fault | a fault from which the unit starts again by itself | a fault that stays until it is reset |
 //!
 //! A press of the button is `stop`. Held for two seconds it is a start: `reset` where a fault is shown, otherwise `align`. A button that
@@ -78,7 +78,7 @@ impl Panel {
         (
             Lamps {
                 green,
-                blue: driven,
+                blue: driven && mode != Some(ModeName::Idle),
                 red,
             },
             command,
@@ -149,7 +149,7 @@ mod tests {
     fn lamps_tell_mode_and_fault() {
         for (mode, expected) in [
             (None, [0.0, 1.0, 0.0]),
-            (Some(ModeName::Idle), [0.0, 1.0, 0.0]),
+            (Some(ModeName::Idle), [0.0, 0.0, 0.0]),
             (Some(ModeName::SelfTest), [0.5, 1.0, 0.0]),
             (Some(ModeName::Homing), [0.5, 1.0, 0.0]),
             (Some(ModeName::Coarse), [0.5, 1.0, 0.0]),
