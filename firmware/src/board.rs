@@ -206,7 +206,7 @@ impl Board {
 
         let enable = Output::new(pins.motor_enable, Level::Low, Speed::Low);
         let mut fault = Flex::new(pins.motor_fault);
-        // As the timer's break input the line takes the outputs away by itself, in nanoseconds; its level can still be read.
+        // As the timer's break input the line switches the outputs off in nanoseconds, without software; its level can still be read.
         fault.set_as_af_unchecked(fitted::MOTOR_FAULT_AF, AfType::input(Pull::Up));
         let phases = (
             PwmPin::new(pins.motor_a, OutputType::PushPull),

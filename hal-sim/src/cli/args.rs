@@ -81,7 +81,7 @@ pub(super) fn scenario(simulated: &Simulated) -> Result<Scenario, String> {
     Ok(scenario)
 }
 
-/// The same, for a unit that is told of its base.
+/// The same, with the encoder constraint of the command line.
 pub(super) fn scenario_on(base: &Base, simulated: &Simulated) -> Result<Scenario, String> {
     let mut scenario = scenario(simulated)?;
     let told = &mut scenario.encoder.constraint_sd_arcsec;

@@ -203,7 +203,7 @@ fn with_quantisation(input: &Input, unit: Unit, quiet: bool) -> Result<Unit, Str
     Ok(with)
 }
 
-/// Steps of a log that make so many times the white noise that was told are taken into account.
+/// Quantisation noise of a log counts where it is more than this multiple of the configured white noise.
 const COARSE: f64 = 3.0;
 
 /// So many restarts of a replay are told one by one.

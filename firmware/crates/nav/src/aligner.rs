@@ -907,7 +907,7 @@ impl<T: Real, const B: usize, const N: usize> Aligner<T, B, N> {
                 }
             }
         }
-        // Only a measurement can make it unsound. On each sample the check would cost three times all the rest.
+        // The covariance changes with a measurement only. On each sample the check would cost nearly three times all the rest.
         if measured && !filter.is_sound() {
             return Some(self.restart(Restart::Diverged));
         }
@@ -1241,6 +1241,31 @@ impl Aligner {
 mod tests {
     use super::*;
     use crate::rotor::Schedule;
+
+    /// A covariance that leaves the range of `f32` is found at the first measurement, and nothing of it is reported.
+    #[test]
+    fn an_unsound_covariance_starts_anew() {
+        let rotor = RotorConfig::<f32>::default();
+        let mut filter = FilterConfig::<f32>::default();
+        filter.noise.angle_random_walk = 1e19;
+        let config = AlignerConfig::<f32>::for_rotor(0.7, 0.0, &rotor, filter);
+        let mut aligner = Aligner::<f32>::new(config).unwrap();
+        let sample = Sample {
+            dtheta_s: Vec3::new(0.0, 0.0, 0.0035),
+            dv_s: Vec3::new(0.0, 0.0, 0.098),
+            dt: 0.01,
+            gap: 0.0,
+        };
+        let mut begun = false;
+        let restarted = (0..8_000).find_map(|k| {
+            let event = aligner.step(&sample, 0.0035 * k as f32);
+            begun |= matches!(event, Some(Event::CoarseDone { .. }));
+            assert!(!matches!(event, Some(Event::CaughtUp | Event::Aligned)));
+            event.filter(|event| matches!(event, Event::Restarted(_)))
+        });
+        assert_eq!(restarted, Some(Event::Restarted(Restart::Diverged)));
+        assert!(begun && aligner.estimate().is_none());
+    }
 
     #[test]
     fn a_refused_measurement_does_not_look_like_a_good_one() {

@@ -1,6 +1,6 @@
 //! How late the IMU's samples are against the encoder's angles, from the rotor's reversals.
 //!
-//! A sample that is late by τ tells of the rotor as it was τ before: ∫ω_z dt is then behind the encoder's angle α by `τ α̇`, and
+//! A sample that is late by τ measures the rotor as it was τ before: ∫ω_z dt is then behind the encoder's angle α by `τ α̇`, and
 //! where the rotor turns round at ±ω it leaps by `2 τ ω`. A bias of the gyro is a slope there, an error of its scale goes with
 //! α, and the base's own yaw ψ is smooth. With D the difference over 0.2 s and a bar for the mean over it,
 //!
